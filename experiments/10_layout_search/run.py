@@ -39,18 +39,18 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
         position = rng.uniform(*corners, (256, search.stations, 3))
         yaw = rng.uniform(0, 2 * np.pi, position.shape[:2])
         flat = position.reshape(-1, 3)
-        seen = site.seen(flat).reshape(*yaw.shape, -1)
-        good = np.flatnonzero(site.joined(position, seen) & site.allowed(flat).reshape(yaw.shape).all(axis=1))
+        visible = site.visible(flat).reshape(*yaw.shape, -1)
+        good = np.flatnonzero(site.feasible(position, visible) & site.allowed(flat).reshape(yaw.shape).all(axis=1))
         if not len(good):
             continue
-        position, yaw, seen = position[good], yaw[good], seen[good]
-        blocks = search.reducer.blocks(position.reshape(-1, 3), yaw.ravel(), seen=seen.reshape(yaw.size, -1))
+        position, yaw, visible = position[good], yaw[good], visible[good]
+        blocks = search.reducer.blocks(position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(yaw.size, -1))
         reduced = search.reducer.reduce(blocks, np.arange(yaw.size).reshape(yaw.shape))
         found = search.objective.values(reduced, search.construction.size)
         values = np.concatenate([values, found])[:count]
         at = int(np.argmin(found[: count - len(values) + len(found)]))
         if found[at] < best[0]:
-            best = float(found[at]), site.survey.replace(position=position[at], yaw=yaw[at], seen=seen[at])
+            best = float(found[at]), site.survey.replace(position=position[at], yaw=yaw[at], visible=visible[at])
     return values, best[1]
 
 

@@ -29,7 +29,7 @@ def row(name: str, scenario: Scenario, survey: Survey) -> Row:
     information = LayoutInformation.of(survey)
     return {
         "layout": name,
-        "sights_lost": int((~survey.seen).sum()),
+        "sights_lost": int((~survey.visible).sum()),
         "D": round(float(d_criterion(information.scaled_covariance)), 4),
         "target_rms_um": round(information.target_rms / MICROMETRE, 2),
         "largest_target_um": round(float(information.target_sigma.max()) / MICROMETRE, 2),

@@ -66,7 +66,7 @@ def run(given: Options) -> Made:
     scenario, survey = planned_scenario(plan), plan.chosen.survey
     own = dict(zip(survey.target_names, survey.weight.tolist(), strict=True))
     rows: list[Row] = []
-    for change in plan.changes.told:
+    for change in plan.changes.reported:
         weights = {name: weight for name, weight in own.items() if name != change.reflector}
         found = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
         held = found["gain_low_um"] <= change.gain_um <= found["gain_high_um"]

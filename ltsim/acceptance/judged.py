@@ -24,7 +24,7 @@ RATIO = 4.0
 
 
 def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
-    """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where nobody said it."""
+    """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where it is not given."""
     sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
     return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 
@@ -36,12 +36,12 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
     Raises SetupError when a test is none of the plan or stands there twice, or a field is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
-    found: dict[str, TestEntry] = {}
+    entries: dict[str, TestEntry] = {}
     for line, row in rows_of(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
             raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
-        if name in found:
+        if name in entries:
             raise SetupError(f"{file}: row {line}: test '{shown(name)}' stands there twice; give its largest error")
         numbers = [
             comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
@@ -50,10 +50,10 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        found[name] = entry(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
-    if not found:
-        raise SetupError(f"{file}: holds no error, expected a row a test")
-    return list(found.values())
+        entries[name] = entry(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
+    if not entries:
+        raise SetupError(f"{file}: no measured errors; expected one row per test")
+    return list(entries.values())
 
 
 def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
@@ -69,15 +69,15 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
     """
     if len(recording.stations) < 2:
         raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
-    found = adjust(recording, declared_construction(recording))
-    found.solution.require_success()
-    whole = recording.measured.all(axis=1) & ~found.gross
+    adjustment = adjust(recording, declared_construction(recording))
+    adjustment.solution.require_success()
+    whole = recording.measured.all(axis=1) & ~adjustment.gross
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (
             _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
         )
-        errors += _lengths(station, found, front or back, specification)
+        errors += _lengths(station, adjustment, front or back, specification)
         both = sorted(front.keys() & back.keys())
         for t in both:
             error = float(np.linalg.norm(across_beam((front[t] - back[t])[None], front[t][None])))
@@ -90,21 +90,21 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
 
 def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
     """Mean points (3,) [m] in the instrument's frame of the targets in some rows, as read."""
-    seen = from_polar(recording.readings[rows])
+    points = from_polar(recording.readings[rows])
     targets = recording.target[rows]
-    return {int(t): seen[targets == t].mean(axis=0) for t in np.unique(targets)}
+    return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
 
 def _lengths(
-    station: str, adjusted: Adjustment, seen: dict[int, Floats], specification: Specification
+    station: str, adjusted: Adjustment, mean_points: dict[int, Floats], specification: Specification
 ) -> list[TestEntry]:
     """Every length between targets that a station has seen, against the network's, with the uncertainty of that."""
     names, points = adjusted.recording.targets, adjusted.state.points
-    placed = [t for t in sorted(seen) if names[t] not in adjusted.lost_targets and np.isfinite(points[t]).all()]
+    placed = [t for t in sorted(mean_points) if names[t] not in adjusted.lost_targets and np.isfinite(points[t]).all()]
     pairs = np.array(list(combinations(placed, 2)), dtype=np.int64).reshape(-1, 2)
     if not len(pairs):
         return []
-    first, second = (np.array([seen[int(t)] for t in ends]) for ends in pairs.T)
+    first, second = (np.array([mean_points[int(t)] for t in ends]) for ends in pairs.T)
     way = points[pairs[:, 1]] - points[pairs[:, 0]]
     length = np.linalg.norm(way, axis=1)
     direction = way / length[:, None]
@@ -135,7 +135,7 @@ def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, d
 
 
 def judged(
-    tests: Sequence[TestEntry], acceptance: Acceptance, *, left: int = 0, recording: Recording | None = None
+    tests: Sequence[TestEntry], acceptance: Acceptance, *, remaining: int = 0, recording: Recording | None = None
 ) -> AcceptanceFile:
     """Errors that were found, against their limits; `left` tests of the plan have none."""
     groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
@@ -148,8 +148,8 @@ def judged(
             f"{len(failed)} of {len(tests)} errors are over their limits; the worst is {w.name}: "
             f"{w.error_um:.1f} um where {w.limit_um:.1f} um are permitted"
         )
-    if left:
-        sentence += f"; {left} tests of the plan were not measured"
+    if remaining:
+        sentence += f"; {remaining} tests of the plan were not measured"
     if blunt:
         sentence += (
             f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
@@ -159,7 +159,7 @@ def judged(
         kind="measured" if recording is None else "network",
         plan=acceptance.plan if recording is None else "own network",
         specification=acceptance.limits,
-        passes=float(not failed and not left),
+        passes=float(not failed and not remaining),
         sentence=sentence,
         groups=group_entries(tests, groups, predicted=False),
         tests=tuple(tests),

@@ -60,11 +60,11 @@ class AcceptancePlan:
         """
         first, second = self._ends
         front = np.ones(len(first), dtype=np.int64)
-        seen = from_polar(self.construction.readings(first, front, values))
+        points = from_polar(self.construction.readings(first, front, values))
         far = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), values))
         errors = np.zeros((len(first), 2))
-        errors[:, 0] = np.linalg.norm(far - seen, axis=1) - np.linalg.norm(second - first, axis=1)
-        errors[~self.is_length] = across_beam(seen - far, first)[~self.is_length]
+        errors[:, 0] = np.linalg.norm(far - points, axis=1) - np.linalg.norm(second - first, axis=1)
+        errors[~self.is_length] = across_beam(points - far, first)[~self.is_length]
         return errors
 
     @cached_property
@@ -149,8 +149,8 @@ class AcceptancePlan:
         standard deviations (p,) allow.
         """
         harm = harm_of(self.construction, points, prior)
-        seen = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
-        bound = seen.T @ seen + np.eye(len(prior)) / PLAUSIBLE**2
+        directions = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
+        bound = directions.T @ directions + np.eye(len(prior)) / PLAUSIBLE**2
         root = np.linalg.inv(np.linalg.cholesky(bound))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
         tried = np.array([self._stretched(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
@@ -164,8 +164,8 @@ class AcceptancePlan:
         low, high = 0.0, PLAUSIBLE
         while high - low > 1e-3 * PLAUSIBLE:
             middle = (low + high) / 2
-            kept = self.within(self.errors(middle * direction * prior)).all()
-            low, high = (middle, high) if kept else (low, middle)
+            passes = self.within(self.errors(middle * direction * prior)).all()
+            low, high = (middle, high) if passes else (low, middle)
         return low * direction * prior
 
 
@@ -205,19 +205,19 @@ def _root(covariance: Floats) -> Floats:
 
 
 def predicted(
-    plan: AcceptancePlan, found: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
+    plan: AcceptancePlan, prediction: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
 ) -> AcceptanceFile:
     """Predicted outcome of the tests of instrument `of`; `prior` (p,) [SI]: standard deviations of its constants."""
     values, rms, largest = plan.worst_passing(prior, envelope())
-    size = np.hypot(found.errors[:, 0], found.errors[:, 1])
-    signed = np.where(plan.is_length, found.errors[:, 0], size)
-    expanded = 2 * np.sqrt(np.sum(found.sigma**2, axis=1))
+    size = np.hypot(prediction.errors[:, 0], prediction.errors[:, 1])
+    signed = np.where(plan.is_length, prediction.errors[:, 0], size)
+    expanded = 2 * np.sqrt(np.sum(prediction.sigma**2, axis=1))
     tests = tuple(
         TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))
         for t, limit, e, u, p in zip(
             plan.tests,
             *(np.asarray(x) / MICROMETRE for x in (plan.limits, signed, expanded)),
-            found.passes,
+            prediction.passes,
             strict=True,
         )
     )
@@ -233,8 +233,8 @@ def predicted(
         )
         for k, p in enumerate(parameters)
     )
-    chance = f"{100 * found.all_pass:.1f} %" if found.all_pass < 0.9995 else "more than 99.9 %"
-    weakest = min(zip(found.passes, plan.tests, strict=True), key=lambda pair: pair[0])
+    chance = f"{100 * prediction.all_pass:.1f} %" if prediction.all_pass < 0.9995 else "more than 99.9 %"
+    weakest = min(zip(prediction.passes, plan.tests, strict=True), key=lambda pair: pair[0])
     sentence = f"{of} passes all {len(tests)} tests with a chance of {chance}"
     if weakest[0] < 0.9995:
         sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
@@ -244,9 +244,9 @@ def predicted(
         plan=acceptance.plan,
         specification=plan.specification,
         assumption=plan.specification.assumption,
-        passes=found.all_pass,
+        passes=prediction.all_pass,
         sentence=sentence,
-        groups=group_entries(tests, found.group_passes, predicted=True),
+        groups=group_entries(tests, prediction.group_passes, predicted=True),
         tests=tests,
         sensitivities=sensitivities,
         worst_passing=WorstEntry(

@@ -119,7 +119,7 @@ def read_tests(file: Path) -> list[Test]:
     """
     tests = [_test(row, line, file) for line, row in rows_of(file, COLUMNS)]
     if not tests:
-        raise SetupError(f"{file}: holds no test, expected a row for each")
+        raise SetupError(f"{file}: no test; expected one row per test")
     return tests
 
 
@@ -178,7 +178,7 @@ class Acceptance(TomlSection):
     standard: Standard | None = None
     """A built-in plan of tests."""
     lengths: str | None = None
-    """Tests beside the built-in ones: a CSV with a row a test; `iso-10360-10` needs its lengths there."""
+    """Tests in addition to the built-in ones: a CSV with one row per test; `iso-10360-10` needs its lengths there."""
     tests: str | None = None
     """A plan of one's own in place of a built-in one: a CSV with a row a test."""
     instrument: str | None = None
@@ -250,10 +250,10 @@ def load_acceptance(path: Path) -> Acceptance:
 @as_setup_error()
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
-    name, stated = data.get("instrument"), data.get("specification", {})
-    if isinstance(name, str) and isinstance(stated, Mapping):
+    name, specification = data.get("instrument"), data.get("specification", {})
+    if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            data = {**data, "specification": completed(name, stated)}
+            data = {**data, "specification": completed(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
     return checked(data, Acceptance, "acceptance file", file)

@@ -51,34 +51,34 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
     limits = acceptance.limits
     if acceptance.recording is not None:
         recording = read(folder / acceptance.recording)
-        found = by_network(recording, limits)
-        return judged(found, acceptance, recording=recording)
+        result = by_network(recording, limits)
+        return judged(result, acceptance, recording=recording)
     tests = acceptance.plan_of(folder)
-    stated = limits.instrument(acceptance.construction)
+    nominal = limits.instrument(acceptance.construction)
     built = of_design(acceptance.construction)
     if acceptance.measured is not None:
-        plan = AcceptancePlan(tests, built, limits, stated.noise)
+        plan = AcceptancePlan(tests, built, limits, nominal.noise)
         errors = read_measured(folder / acceptance.measured, tests, plan.limits)
-        return judged(errors, acceptance, left=len(tests) - len(errors))
-    known = None if acceptance.calibration is None else _known(folder / acceptance.calibration)
-    built = built if known is None else known.construction
-    prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
-    if known is None:
+        return judged(errors, acceptance, remaining=len(tests) - len(errors))
+    calibration = None if acceptance.calibration is None else _usable_calibration(folder / acceptance.calibration)
+    built = built if calibration is None else calibration.construction
+    prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
+    if calibration is None:
         mean, covariance = np.zeros(built.size), np.diag(prior**2)
-        of = f"an instrument like the {limits.name or 'stated'}"
+        of = f"an instrument like the {limits.name or 'nominal'}"
     else:
-        mean, covariance = known.values[0], known.covariance
+        mean, covariance = calibration.values[0], calibration.covariance
         of = "the instrument as it reads"
         if acceptance.corrected:
-            mean, of = mean - known.applied[0], "the corrected instrument"
-    plan = AcceptancePlan(tests, built, limits, stated.noise)
+            mean, of = mean - calibration.applied[0], "the corrected instrument"
+    plan = AcceptancePlan(tests, built, limits, nominal.noise)
     outcome = plan.predict(mean, covariance, trials=acceptance.trials, seed=acceptance.seed)
     return predicted(plan, outcome, prior, acceptance, of=of)
 
 
-def _known(path: Path) -> Calibration:
+def _usable_calibration(path: Path) -> Calibration:
     """Calibration of the instrument; raises SetupError where the file is of several instruments."""
-    known = read_calibration(path)
-    if len(known.instruments) > 1:
-        raise SetupError(f"{path}: is of {len(known.instruments)} instruments; the tests are of one")
-    return known
+    calibration = read_calibration(path)
+    if len(calibration.instruments) > 1:
+        raise SetupError(f"{path}: is of {len(calibration.instruments)} instruments; the tests are of one")
+    return calibration

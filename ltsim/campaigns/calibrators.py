@@ -81,9 +81,9 @@ class Stack(CellTruth):
 
     def of_trial(self, together: Floats, trial: int) -> Floats:
         """Array (n, ...) of one trial of a gathered array (n, ..., B), in the trial's order of pointings."""
-        own = np.empty(together.shape[:-1])
-        own[self.rows[:, trial]] = together[..., trial]
-        return own
+        ordered = np.empty(together.shape[:-1])
+        ordered[self.rows[:, trial]] = together[..., trial]
+        return ordered
 
     @cached_property
     def nominal(self) -> Floats:
@@ -107,8 +107,8 @@ class Stack(CellTruth):
         """The chain of all trials, and the derivative (n, 3, p, B)."""
         flat = np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
         by_value = built.reading_design(flat, np.zeros(built.size))[1]
-        apart = np.moveaxis(by_value.reshape(*self.rows.shape, *by_value.shape[1:]), 1, -1)
-        return ChainProgram.of(built, flat).spread(len(self.truths)), np.ascontiguousarray(apart)
+        by_trial = np.moveaxis(by_value.reshape(*self.rows.shape, *by_value.shape[1:]), 1, -1)
+        return ChainProgram.of(built, flat).spread(len(self.truths)), np.ascontiguousarray(by_trial)
 
     def _exact(self, values: Floats) -> Floats:
         which, (program, by_value) = self.recording.instrument, self.chain_of(self.construction)
@@ -118,8 +118,10 @@ class Stack(CellTruth):
 
     def draw_trials(self, seed: int, numbers: Ints) -> Block:
         """The trials of these numbers."""
-        each = Normal(seed, numbers).one_by_one()
-        draws = [truth.population.draw(own) for truth, own in zip(self.truths, each, strict=True)]
+        each = Normal(seed, numbers).per_trial()
+        draws = [
+            truth.population.draw(numbers_of_trial) for truth, numbers_of_trial in zip(self.truths, each, strict=True)
+        ]
         values = np.concatenate([draw.values for draw in draws], axis=2)
         exact = self._exact(values)
         alone = tuple(
@@ -173,26 +175,26 @@ class StackCalibrator(Calibrator):
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; a trial whose own geometry determines too little has failed."""
-        found = Calibrated.none(self.truth, self.construction, self.effects, len(block.alone))
+        calibrated = Calibrated.none(self.truth, self.construction, self.effects, len(block.alone))
         together = self.method == "network" and self.asked.solver == "batch" and not self.effects
-        left = self._together(block, found) if together else wanted
-        for trial in left.tolist():
+        remaining = self._together(block, calibrated) if together else wanted
+        for trial in remaining.tolist():
             try:
-                own = self.alone(trial).calibrate(block.alone[trial], np.zeros(1, dtype=np.int64))
+                single = self.alone(trial).calibrate(block.alone[trial], np.zeros(1, dtype=np.int64))
             except (NetworkError, SetupError):
                 continue
-            found.take(trial, own, 0)
-        return found
+            calibrated.take(trial, single, 0)
+        return calibrated
 
-    def _together(self, block: Block, found: Calibrated) -> Ints:
+    def _together(self, block: Block, calibrated: Calibrated) -> Ints:
         """The batch; which trials it leaves."""
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_of(built)
         parts: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal[:, :, k])
-            known = NetworkKnowns(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
-            parts.append(BatchNetwork(recording, truth.state, built, program, known=known, recorded=truth.recorded))
+            shared = NetworkKnowns(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
+            parts.append(BatchNetwork(recording, truth.state, built, program, shared=shared, recorded=truth.recorded))
         network = Stacked(stack.recording, stack.state, built, program, parts=tuple(parts))
         try:
             fit = network.fit(block.deviation, block.gauge_error)
@@ -202,12 +204,12 @@ class StackCalibrator(Calibrator):
         together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
         doubtful = ~fit.converged | suspects(block.deviation, stack.local)
         for trial in np.flatnonzero(~doubtful):
-            found.take(int(trial), together, int(trial))
+            calibrated.take(int(trial), together, int(trial))
         return np.flatnonzero(doubtful)
 
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
         """Difference of a trial from the full solver, as of `Calibrator`."""
-        one = slice(trial, trial + 1)
-        arrays = found.values[..., one], found.sigma[..., trial], found.points[..., one]
-        own = Calibrated(*arrays, found.chi2[one], found.status[one])
-        return self.alone(trial).difference(block.alone[trial], 0, own)
+        selected = slice(trial, trial + 1)
+        arrays = calibrated.values[..., selected], calibrated.sigma[..., trial], calibrated.points[..., selected]
+        single = Calibrated(*arrays, calibrated.chi2[selected], calibrated.status[selected])
+        return self.alone(trial).difference(block.alone[trial], 0, single)

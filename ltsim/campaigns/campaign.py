@@ -23,7 +23,7 @@ from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
 from ltsim.campaigns.rows import ShardTask, rows_of, run_task
 from ltsim.campaigns.schema import CellEntry, ManifestFile
-from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
+from ltsim.campaigns.spec import JUDGE, Campaign, Cell, cad_files, cells_of, load_campaign, local_file, read_cad
 from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
@@ -61,7 +61,7 @@ class Outcome:
     folder: Path
     shards: int
     """Number of shards that this run computed and wrote."""
-    kept: int
+    existing: int
     """Number of shards that were complete before this run."""
     notes: tuple[str, ...]
     """Notes for the user: damaged shards that were computed again, another commit than at the beginning."""
@@ -102,34 +102,34 @@ def run_campaign(
         if not store.begun or store.manifest().model_copy(update=made_here) != manifest:
             store.begin(manifest, sources)
         store.sweep()
-        done, kept = 0, 0
-        for wanted in rounds(campaign, len(cells), partial(_half_known, folder)):
+        done, existing = 0, 0
+        for wanted in rounds(campaign, len(cells), partial(_half_intervals, folder)):
             waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
             notes += damaged
-            done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
+            done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
                 for task, content in _results(waiting, workers or Workers(), store):
                     store.write_shard(task.cell, task.shard, content)
                     progress(rows_of(campaign, task.shard))
             except WorkerError as problem:
                 raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
-    spared = len(cells) * campaign.shards - done - kept
+    spared = len(cells) * campaign.shards - done - existing
     if spared:
         share = 100 * spared / (len(cells) * campaign.shards)
         notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed, since their cells stopped")
-    return Outcome(folder, done, kept, tuple(notes))
+    return Outcome(folder, done, existing, tuple(notes))
 
 
 def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is: bool) -> dict[str, bytes]:
     """The files that the campaign was given, to be kept with its rows: scenarios, points, CAD, the file itself."""
-    named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := beside(name, file))]
-    kept, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
+    named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
+    contents, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
     for path in cad_files([place for cell in cells for place in (cell.scenario, cell.judge) if place is not None]):
         whole = path.resolve()
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
-        kept[name] = read_cad(path)
-    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return kept | {SOURCE: file.read_bytes() if as_it_is else to_toml(said).encode()}
+        contents[name] = read_cad(path)
+    settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return contents | {SOURCE: file.read_bytes() if as_it_is else to_toml(settings).encode()}
 
 
 def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
@@ -164,9 +164,9 @@ def _grown(
         raise SetupError(
             f"{store.folder}: begun by an earlier version of ltsim; begin anew with another --out, or with --force"
         )
-    before, kept, left = manifest.settings, list[Cell](), list(cells)
+    before, ordered, remaining = manifest.settings, list[Cell](), list(cells)
     for old in manifest.cells:
-        same = next((cell for cell in left if cell.mark == old.mark), None)
+        same = next((cell for cell in remaining if cell.mark == old.mark), None)
         if same is None:
             now = campaign.model_dump(mode="json", by_alias=True)
             changed = [key for key in now if key not in GROWS and before.get(key) != now[key]] or ["the scenario"]
@@ -174,8 +174,8 @@ def _grown(
                 f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
                 f"continue with {store.folder / SOURCE}, or begin anew with another --out"
             )
-        left.remove(same)
-        kept.append(same)
+        remaining.remove(same)
+        ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise SetupError(
             f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, the campaign in {store.folder} "
@@ -183,7 +183,7 @@ def _grown(
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     more = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
-    return campaign.model_copy(update=more), (*kept, *left)
+    return campaign.model_copy(update=more), (*ordered, *remaining)
 
 
 def _check_same(store: Store) -> list[str]:
@@ -259,12 +259,12 @@ def _waiting(
     store: Store, campaign: Campaign, cells: Sequence[Cell], wanted: list[Shard], progress: Progress
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
-    waiting, notes, known = [], [], store.digests()
+    waiting, notes, digests = [], [], store.digests()
     for cell, shard in wanted:
         task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
-        state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
+        state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), digests)
         if state == "whole":
-            if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in known:
+            if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
                 store.note(cell, shard)
             progress(rows_of(campaign, shard))
             continue
@@ -275,7 +275,7 @@ def _waiting(
     return waiting, notes
 
 
-def _half_known(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
+def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
     """Half of the interval of a statistic's mean by so many first shards, by cell and method."""
     return {(s.cell, s.method): 0.5 * (s.high - s.low) for s in Statistics(folder, shards).spread(statistic)}
 

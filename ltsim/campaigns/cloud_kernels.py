@@ -144,7 +144,7 @@ def add_square_error(moved: Floats, goal: Floats, use: Bools, total: Floats) -> 
 
 
 @compiled
-def distance_criterion(clouds: Floats, seen: Bools, mean: Floats, largest: Floats) -> None:
+def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
     """Mean and maximum (B,) [um] over pairs of targets of the mean deviation of their distance over stations."""
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
@@ -155,7 +155,7 @@ def distance_criterion(clouds: Floats, seen: Bools, mean: Floats, largest: Float
             count = 0
             middle[:] = 0.0
             for s in range(stations):
-                if seen[s, i] and seen[s, j]:
+                if visible[s, i] and visible[s, j]:
                     a, b, row = clouds[s, i], clouds[s, j], length[count]
                     count += 1
                     for t in range(trials):
@@ -179,18 +179,18 @@ def distance_criterion(clouds: Floats, seen: Bools, mean: Floats, largest: Float
 
 
 @compiled
-def coordinate_criterion(placed: Floats, seen: Bools, mean: Floats, largest: Floats) -> None:
+def coordinate_criterion(placed: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
     """Mean and maximum (B,) [um] over targets of the mean distance between their places from two stations."""
     stations, targets, _, trials = placed.shape
     spread = np.empty(trials)
     mean[:], largest[:] = 0.0, 0.0
-    kept = 0
+    n_used = 0
     for i in range(targets):
         count = 0
         spread[:] = 0.0
         for m in range(stations):
             for n in range(m + 1, stations):
-                if seen[m, i] and seen[n, i]:
+                if visible[m, i] and visible[n, i]:
                     count += 1
                     a, b = placed[m, i], placed[n, i]
                     for t in range(trials):
@@ -198,13 +198,13 @@ def coordinate_criterion(placed: Floats, seen: Bools, mean: Floats, largest: Flo
                         spread[t] += np.sqrt(x * x + y * y + z * z)
         if count == 0:
             continue
-        kept += 1
+        n_used += 1
         for t in range(trials):
             value = MICRO * spread[t] / count
             mean[t] += value
             largest[t] = max(largest[t], value)
     for t in range(trials):
-        mean[t] /= kept
+        mean[t] /= n_used
 
 
 @compiled
@@ -236,36 +236,36 @@ def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
 
 
 @compiled
-def distance_forces(clouds: Floats, seen: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats) -> None:
+def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats) -> None:
     """Half the objective's derivative by the points of all sets, and the objective.
 
     Of `clouds` (O, T, 3, B) [m], the points of each set (a station and a face), some are `seen` (O, T); pairs of
     targets `gauge` (g, 2) have known lengths (g, B). `forces` (O, T, 3, B) and `cost` (B,) are added to.
     """
     sets, targets, _, trials = clouds.shape
-    own, middle = np.empty((sets, trials)), np.empty(trials)
+    lengths, middle = np.empty((sets, trials)), np.empty(trials)
     size = np.empty(trials)
     for i in range(targets):
         for j in range(i + 1, targets):
             count = 0
             middle[:] = 0.0
             for s in range(sets):
-                if seen[s, i] and seen[s, j]:
-                    _between(clouds[s, i], clouds[s, j], own[s])
+                if visible[s, i] and visible[s, j]:
+                    _between(clouds[s, i], clouds[s, j], lengths[s])
                     count += 1
                     for t in range(trials):
-                        middle[t] += own[s, t]
-            known = _length_of_pair(gauge, i, j)
+                        middle[t] += lengths[s, t]
+            gauge_index = _length_of_pair(gauge, i, j)
             for s in range(sets):
-                if not (seen[s, i] and seen[s, j]):
+                if not (visible[s, i] and visible[s, j]):
                     continue
                 for t in range(trials):
-                    gap = own[s, t] - middle[t] / count
+                    gap = lengths[s, t] - middle[t] / count
                     size[t] = count * gap
                     cost[t] += count * gap * gap
-                if known >= 0:
+                if gauge_index >= 0:
                     for t in range(trials):
-                        gap = own[s, t] - length[known, t]
+                        gap = lengths[s, t] - length[gauge_index, t]
                         size[t] += gap
                         cost[t] += gap * gap
-                _spread_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, own[s])
+                _spread_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, lengths[s])

@@ -1,4 +1,4 @@
-"""The columns of a campaign's rows: the settings of the cell beside the results, each with its unit in the file."""
+"""Columns of the rows of a campaign: settings of the cell, then results, each with its unit in the file."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -32,41 +32,41 @@ def labels_of(
     construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
     """The parameters of all instruments, then those of effects."""
-    names, seen = construction.names_of(instruments), Counter[str]()
-    found = [ParameterLabel(*own) for own in zip(names, construction.parameters * len(instruments), strict=True)]
+    names, counts = construction.names_of(instruments), Counter[str]()
+    labels = [ParameterLabel(*pair) for pair in zip(names, construction.parameters * len(instruments), strict=True)]
     for effect in effects:
         for parameter in effect.parameters:
             name = f"{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
-            seen[name] += 1
-            again = f" #{seen[name]}" if seen[name] > 1 else ""
-            found.append(ParameterLabel(name + again, parameter, effect))
-    return found
+            counts[name] += 1
+            again = f" #{counts[name]}" if counts[name] > 1 else ""
+            labels.append(ParameterLabel(name + again, parameter, effect))
+    return labels
 
 
 def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> Columns:
     """Parameters (P, B) [SI] as columns in display units: ``estimate:beam-tilt``."""
-    return {f"{prefix}:{own.name}": row / own.parameter.factor for own, row in zip(labels, values, strict=True)}
+    return {f"{prefix}:{label.name}": row / label.parameter.factor for label, row in zip(labels, values, strict=True)}
 
 
 def z_scores(
     labels: Sequence[ParameterLabel], values: Floats, sigma: Floats, true_labels: Sequence[ParameterLabel], true: Floats
 ) -> Columns:
     """(estimate - truth) / sigma of the parameters (P, B) that are among the true ones."""
-    known = {(label.name, label.effect): own for label, own in zip(true_labels, true, strict=True)}
+    true_values = {(label.name, label.effect): true_value for label, true_value in zip(true_labels, true, strict=True)}
     with np.errstate(divide="ignore", invalid="ignore"):
         return {
-            f"z:{label.name}": (value - known[label.name, label.effect]) / spread
+            f"z:{label.name}": (value - true_values[label.name, label.effect]) / spread
             for label, value, spread in zip(labels, values, sigma, strict=True)
-            if (label.name, label.effect) in known
+            if (label.name, label.effect) in true_values
         }
 
 
 def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    known = column_of(name)
-    if known is None:
+    column = column_of(name)
+    if column is None:
         return {"unit": "", "meaning": ""}
-    unit = parameters.get(name.partition(":")[2], "") if known.unit == OF_PARAMETER else known.unit
-    return {"unit": unit, "meaning": known.meaning}
+    unit = parameters.get(name.partition(":")[2], "") if column.unit == OF_PARAMETER else column.unit
+    return {"unit": unit, "meaning": column.meaning}
 
 
 def with_settings(
@@ -75,11 +75,13 @@ def with_settings(
     """The rows of a cell with its settings behind the column `cell`, and units in the metadata of the columns."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
-    own = {f.name: pa.repeat(pa.scalar(levels[f.name], TYPES.get(f.kind, pa.string())), len(table)) for f in factors}
-    said = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
-    whole = cell | own | columns
+    settings = {
+        f.name: pa.repeat(pa.scalar(levels[f.name], TYPES.get(f.kind, pa.string())), len(table)) for f in factors
+    }
+    metadata = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
+    whole = cell | settings | columns
     fields = [
-        pa.field(name, column.type, metadata=said.get(name) or _metadata(name, parameters))
+        pa.field(name, column.type, metadata=metadata.get(name) or _metadata(name, parameters))
         for name, column in whole.items()
     ]
     return pa.table(list(whole.values()), schema=pa.schema(fields))

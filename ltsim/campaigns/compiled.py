@@ -18,23 +18,23 @@ if llvmlite.binding.llvm_version_info[0] >= 17:
 
 
 def compiled(function: Callable[..., R]) -> Callable[..., R]:
-    """Compile at the first call and keep the machine code beside the source.
+    """Compile at the first call and cache the machine code next to the source.
 
     Sums keep their order; only a product and a sum may be fused. Runs outside the interpreter lock.
     """
 
-    def kept(cache: bool) -> Callable[..., R]:
+    def compiled_kernel(cache: bool) -> Callable[..., R]:
         compiler = numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath={"contract"})
         return cast(Callable[..., R], compiler(function))
 
     try:
-        return kept(cache=True)
+        return compiled_kernel(cache=True)
     except RuntimeError:  # neither the package's folder nor a home can be written to
-        return kept(cache=False)
+        return compiled_kernel(cache=False)
 
 
 def inlined(function: Callable[..., R]) -> Callable[..., R]:
-    """Compile into whoever calls it, so that a loop around the call still becomes vector instructions."""
+    """Compile inline into the caller, so that a loop around the call still becomes vector instructions."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
     return cast(Callable[..., R], compiler(function))
 

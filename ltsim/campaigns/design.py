@@ -75,8 +75,8 @@ class Design(TomlSection):
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
         shares = sampler(len(self.ranges), seed=draw).random(self.cells)
         columns = [
-            own.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
-            for k, (name, own) in enumerate(self.ranges.items())
+            limits.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
+            for k, (name, limits) in enumerate(self.ranges.items())
         ]
         return [dict(zip(self.ranges, point, strict=True)) for point in zip(*columns, strict=True)]
 
@@ -107,7 +107,7 @@ class Factor(Entry):
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:
-    """The last words of dotted keys, as many as tell them apart from each other and from other columns."""
+    """Shortest suffixes of dotted keys that are unique among the keys and the other columns."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}

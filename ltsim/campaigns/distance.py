@@ -75,17 +75,19 @@ class BatchDistance(Engine):
         return self.problem.at(np.zeros(self.problem.prior_sigma.size))
 
     @cached_property
-    def _kept(self) -> Floats:
+    def _determined(self) -> Floats:
         """Combinations (q, k) that are estimated."""
-        left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
-        return np.linalg.svd(np.eye(left.shape[1]) - left.T @ left)[0][:, : left.shape[1] - len(left)]
+        excluded = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
+        return np.linalg.svd(np.eye(excluded.shape[1]) - excluded.T @ excluded)[0][
+            :, : excluded.shape[1] - len(excluded)
+        ]
 
     @cached_property
     def step_matrix(self) -> Floats:
         """(q, q): a step in units of the prior sigmas from half a gradient, within what is estimated."""
-        rows, kept = self._mean_rows, self._kept
+        rows, determined = self._mean_rows, self._determined
         normal = rows.by_unknown.T @ rows.by_unknown
-        return kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
+        return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
     def _mean_rows(self) -> Separations:
@@ -103,12 +105,12 @@ class BatchDistance(Engine):
     def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
         gauge, sets = self.problem.gauge, self.problem.sets
-        seen, share = members(self.truth, sets)
-        return sets, seen, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
+        visible, share = members(self.truth, sets)
+        return sets, visible, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
     def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
         """The block by its parameters, and the network of the readings that these correct."""
-        values, moved = self._squares(block) if self.method == "distance" else self._one_by_one(block, wanted)
+        values, moved = self._squares(block) if self.method == "distance" else self._per_trial(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
@@ -117,17 +119,17 @@ class BatchDistance(Engine):
     def _squares(self, block: Block) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
-        sets, seen, share, gauge = self._membership
+        sets, visible, share, gauge = self._membership
         recording, trials = self.truth.recording, deviation.shape[2]
         length = self.problem.gauge.length[:, None] + block.gauge_error
         values = np.zeros((*self.problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(CAP):
             points_of(self._program, recording.instrument, deviation, values, points)
-            clouds = np.zeros((*seen.shape, 3, trials))
+            clouds = np.zeros((*visible.shape, 3, trials))
             station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
-            distance_forces(clouds, seen, gauge, length, forces, np.zeros(trials))
+            distance_forces(clouds, visible, gauge, length, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
             pull_points(self._program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
@@ -137,12 +139,15 @@ class BatchDistance(Engine):
                 break
         return values, moved
 
-    def _one_by_one(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+    def _per_trial(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
         """The same for the wanted trials, each by its own matrix; the others have not moved at all (inf)."""
         prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
         unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {trial: self.truth.recording.readings + block.deviation[:, :, trial] for trial in wanted.tolist()}
-        kept = {trial: self._kept if self.as_printed else self._combinations(own) for trial, own in readings.items()}
+        determined = {
+            trial: self._determined if self.as_printed else self._combinations(trial_readings)
+            for trial, trial_readings in readings.items()
+        }
         for iteration in range(CAP if self.absolute else CAP_OF_WEAK):
             active = wanted[moved[wanted] >= CLOSED]
             if not len(active):
@@ -150,20 +155,20 @@ class BatchDistance(Engine):
             residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
                 by_unknown = self.problem.by_parameter(readings[trial], unknowns[:, trial])
-                design = self._pair_rows.compare @ (by_unknown @ kept[trial])
+                design = self._pair_rows.compare @ (by_unknown @ determined[trial])
                 if self.absolute:  # every step but the first is short
                     step = least_absolute(design, -gap, near=np.zeros(design.shape[1]) if iteration else None)
                 else:
                     step = np.linalg.solve(design.T @ design, -design.T @ gap)
-                unknowns[:, trial] += kept[trial] @ step
-                moved[trial] = np.abs(kept[trial] @ step).max()
+                unknowns[:, trial] += determined[trial] @ step
+                moved[trial] = np.abs(determined[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _combinations(self, readings: Floats) -> Floats:
         """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
         design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
         axes = np.linalg.eigh(design.T @ design)[1]
-        nearest = np.argsort(np.linalg.norm(self._kept.T @ axes, axis=0))[len(axes) - self._kept.shape[1] :]
+        nearest = np.argsort(np.linalg.norm(self._determined.T @ axes, axis=0))[len(axes) - self._determined.shape[1] :]
         return axes[:, nearest]
 
     def _residual(self, block: Block, values: Floats, trials: Ints) -> Floats:
@@ -173,9 +178,9 @@ class BatchDistance(Engine):
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)
         change = self.problem.lengths(points) - self._distances.length[:, None]
         rows, gauge = self._pair_rows, self.problem.gauge
-        stated = gauge.whitened(block.gauge_error[:, trials])
+        certified = gauge.whitened(block.gauge_error[:, trials])
         by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
-        return rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
+        return rows.residual[:, None] + rows.compare @ change + by_gauge @ certified
 
     def _adjusted(self, block: Block, values: Floats) -> BatchFit:
         deviation = block.deviation

@@ -56,15 +56,15 @@ class Calibrated:
     def estimates(self) -> tuple[Floats, Floats]:
         """(I p + q, B) [SI] each: all parameters of a trial, instrument after instrument, and their sigmas."""
         trials = len(self.chi2)
-        own = self.sigma if self.sigma.ndim == 3 else self.sigma[:, :, None]
-        parts = [(self.values, own), (self.extra, self.extra_sigma)]
+        sigma = self.sigma if self.sigma.ndim == 3 else self.sigma[:, :, None]
+        parts = [(self.values, sigma), (self.extra, self.extra_sigma)]
         values = [v.reshape(-1, trials) for v, _ in parts]
         sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in parts]
         return np.concatenate(values), np.concatenate(sigmas)
 
     @classmethod
     def none(cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
-        """Trials that have given nothing yet, each with a sigma of its own."""
+        """Trials without a result, with a sigma per trial."""
         values = np.full((len(truth.recording.instruments), construction.size, trials), np.nan)
         points = np.full((*truth.state.points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
@@ -72,9 +72,9 @@ class Calibrated:
         return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
 
     def take(self, trial: int, source: Calibrated, place: int) -> None:
-        """Take a trial over from others, of which it is one; its sigmas where each trial has its own."""
-        own = ("sigma", "extra_sigma") if self.sigma.ndim == 3 else ()
-        for name in ("chi2", "status", "values", "points", "extra", *own):
+        """Copy one trial from another batch, with its sigmas where each trial has its own."""
+        per_trial = ("sigma", "extra_sigma") if self.sigma.ndim == 3 else ()
+        for name in ("chi2", "status", "values", "points", "extra", *per_trial):
             mine, theirs = getattr(self, name), getattr(source, name)
             if len(mine):
                 shared = theirs.ndim < mine.ndim
@@ -97,7 +97,7 @@ class Calibrator:
         """Calibrate a block; trials that are not wanted may be left out (NaN)."""
         raise NotImplementedError
 
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
         """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
         return float("nan")
 
@@ -105,8 +105,8 @@ class Calibrator:
 def recording_of(truth: CellTruth, block: Block, trial: int) -> Recording:
     """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
-    known = ReferenceLengths.of(recording)
-    return certified_by(recording, (known.length + block.gauge_error[:, trial]) / known.factor)
+    lengths = ReferenceLengths.of(recording)
+    return certified_by(recording, (lengths.length + block.gauge_error[:, trial]) / lengths.factor)
 
 
 def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
@@ -154,7 +154,7 @@ class Single(Calibrator):
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate the wanted trials of a block."""
-        found = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
+        calibrated = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
         for trial in wanted.tolist():
             try:
                 adjustment, values, sigma = self.solved(recording_of(self.truth, block, trial))
@@ -162,14 +162,14 @@ class Single(Calibrator):
                 continue
             if adjustment is None or not np.all(np.isfinite(values)):
                 continue
-            found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
-            own = len(found.extra)
-            found.extra[:, trial] = adjustment.state.extra[:own]
-            found.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance)[:own])
+            calibrated.values[:, :, trial], calibrated.sigma[:, :, trial] = values, sigma
+            n_extra = len(calibrated.extra)
+            calibrated.extra[:, trial] = adjustment.state.extra[:n_extra]
+            calibrated.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance)[:n_extra])
             true = self.truth.state.points
-            found.points[:, :, trial] = placed_on(adjustment, true) - true
-            found.chi2[trial], found.status[trial] = adjustment.chi2, STATUSES.index(CONVERGED)
-        return found
+            calibrated.points[:, :, trial] = placed_on(adjustment, true) - true
+            calibrated.chi2[trial], calibrated.status[trial] = adjustment.chi2, STATUSES.index(CONVERGED)
+        return calibrated
 
     def solved(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
         """The adjustment of a recording, its instruments' parameters and their standard deviations (I, p) [SI]."""
@@ -208,23 +208,23 @@ class Engine(Calibrator):
         """The block by the batch, and which of its trials (B,) have converged."""
         network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
-        own = slice(network.sizes[2], network.sizes[2] + len(fit.extra))
-        extra = np.sqrt(np.diag(network.covariance)[own, None]) if self.effects else np.zeros((0, 1))
+        extra_columns = slice(network.sizes[2], network.sizes[2] + len(fit.extra))
+        extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
         return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, extra), fit.converged
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
         """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""
         wanted = np.arange(len(block.trials)) if wanted is None else wanted
-        found, good = self.together(block, wanted)
+        calibrated, good = self.together(block, wanted)
         enough = good & ~suspects(block.deviation, self.truth.sightings.local[:, :, None])
         alone = wanted[~enough[wanted]]
-        one_by_one = self.single.calibrate(block, alone) if len(alone) else found
+        per_trial = self.single.calibrate(block, alone) if len(alone) else calibrated
         for trial in alone.tolist():
-            found.take(trial, one_by_one, trial)
-            found.status[trial] = STATUSES.index(FAILED if one_by_one.status[trial] else FULL)
-        return found
+            calibrated.take(trial, per_trial, trial)
+            calibrated.status[trial] = STATUSES.index(FAILED if per_trial.status[trial] else FULL)
+        return calibrated
 
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
         """Largest difference [sigma] of a calibrated trial from the single calibrator's, over parameters and targets.
 
         Targets are compared after a rigid fit, by their standard deviations in that frame. NaN for a failed one.
@@ -232,9 +232,9 @@ class Engine(Calibrator):
         other = self.single.calibrate(block, np.array([trial]))
         if other.status[trial] != 0:
             return float("nan")
-        values = np.abs(other.values[:, :, trial] - found.values[:, :, trial]) / found.sigma
+        values = np.abs(other.values[:, :, trial] - calibrated.values[:, :, trial]) / calibrated.sigma
         truth = self.truth.state.points
-        batch = truth + found.points[:, :, trial]
+        batch = truth + calibrated.points[:, :, trial]
         gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self.sigma_targets
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
 

@@ -31,7 +31,7 @@ SIZE = "size"
 STRENGTHS = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 TRIES = 25
 """Largest number of draws of the unspecified values until an injection is detectable."""
-ALIKE = 0.5
+MIN_OVERLAP = 0.5
 """Share of the targets or stations in common from which several are the right ones."""
 
 
@@ -82,15 +82,15 @@ def inject(
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")
-    seen = recording_of(recording)
-    injector, told = Injector(seen, ResidualSpace.of(adjust(seen, declared_construction(seen)))), []
+    changed = recording_of(recording)
+    injector, injected = Injector(changed, ResidualSpace.of(adjust(changed, declared_construction(changed)))), []
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _sized(injector, cause, noncentrality, rng)
-        seen, one = injector.put(drawn, values, _called(cause), rng)
-        injector = injector.after(seen)
-        told.append(one)
-    return Injection(seen, InjectionTruth(seed, tuple(told)))
+        changed, entry = injector.put(drawn, values, _called(cause), rng)
+        injector = injector.after(changed)
+        injected.append(entry)
+    return Injection(changed, InjectionTruth(seed, tuple(injected)))
 
 
 def injection_curve(
@@ -126,25 +126,25 @@ def injection_curve(
     """
     if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a curve needs one injection at least at each strength, and strengths above 0")
-    seen = recording_of(recording)
-    background = diagnose(seen)
+    original = recording_of(recording)
+    background = diagnose(original)
     rows = []
     for strength in strengths:
-        draws = [inject(seen, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
+        draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
         judged = [judge(diagnose(made), truth.causes[0], background) for made, truth in draws]
         rows.append(_row(strength, [truth.causes[0] for _, truth in draws], judged))
-    told = tuple(sorted({f.effect for f in background.findings}))
-    return InjectionCurve(_called(cause), told, tuple(rows))
+    reported = tuple(sorted({f.effect for f in background.findings}))
+    return InjectionCurve(_called(cause), reported, tuple(rows))
 
 
 def _called(cause: str | Tunable | Sized) -> str:
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, Sized) else cause.name
 
 
-def judge(found: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
+def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
     """Flags: cause detected, located and identified by the findings beyond those of the background."""
     before = {_key(f) for f in background.findings}
-    new = [f for f in found.findings if _key(f) not in before]
+    new = [f for f in diagnosis.findings if _key(f) not in before]
     placed = [f for f in new if _placed(cause.cause, f)]
     name = cause.cause.name
     named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
@@ -163,12 +163,12 @@ def _key(finding: Any) -> tuple[Any, ...]:
 
 
 def _placed(cause: Tunable, finding: Any) -> bool:
-    """Stations and targets alike; where the cause is everywhere, its observables."""
+    """Agreement of stations and targets, or of observables for a cause without a place."""
     where = finding.where
     pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
-    alike = all(a == b if len(a) < 2 else len(a & b) >= ALIKE * len(a | b) for a, b in pairs)
-    told = set(where.observables) or set(cause.observables)
-    return alike and bool(told & set(cause.observables))
+    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_OVERLAP * len(a | b) for a, b in pairs)
+    reported = set(where.observables) or set(cause.observables)
+    return overlaps and bool(reported & set(cause.observables))
 
 
 def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[str, bool]]) -> dict[str, float]:
@@ -176,7 +176,7 @@ def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[s
     row["largest_um"] = float(np.mean([c.largest["distance_um"] for c in causes]))
     row["largest_urad"] = float(np.mean([max(c.largest["azimuth_urad"], c.largest["elevation_urad"]) for c in causes]))
     for key in ("found", "placed", "named", "right"):
-        row[key] = sum(one[key] for one in judged)
+        row[key] = sum(outcome[key] for outcome in judged)
         if key != "right":
             interval = binomtest(int(row[key]), len(judged)).proportion_ci(method="wilson")
             row[f"{key}_low"], row[f"{key}_high"] = interval.low, interval.high
@@ -202,10 +202,10 @@ def _sized(
 def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Generator) -> tuple[Tunable, Floats]:
     """A cause with its place and constants, and values (q,) [SI] of its parameters; what is not said is drawn."""
     if isinstance(cause, str):
-        text, stated = _split(cause)
+        text, sizes = _split(cause)
         asked = wanted(text, injector.recording)
     else:
-        given, stated = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
+        given, sizes = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
         asked = wanted(given, injector.recording) if isinstance(given, Effect) else Wanted(given)
     effect, sightings = asked.effect, injector.space.sightings
     tries: Sequence[Tunable] = [effect]
@@ -216,35 +216,35 @@ def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Gene
     if not tries:
         raise ModelError(f"{effect.name} can act nowhere in this recording")
     chosen = tries[int(rng.integers(len(tries)))]
-    return chosen, _values(chosen, stated, injector, rng)
+    return chosen, _values(chosen, sizes, injector, rng)
 
 
 def _split(text: str) -> tuple[str, dict[str, float]]:
     """The text without the values of parameters, and these."""
     name, _, rest = text.partition(":")
     names = {SIZE} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
-    items, stated = [part.strip() for part in rest.split(",") if part.strip()], {}
+    items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
     for item in items:
         key, _, value = item.partition("=")
         if key.strip() in names:
             try:
-                stated[key.strip()] = float(value)
+                sizes[key.strip()] = float(value)
             except ValueError:
                 raise ModelError(f"'{text}': {key.strip()} is {value!r}, expected a number") from None
-    left = [item for item in items if item.partition("=")[0].strip() not in stated]
-    return f"{name}:{','.join(left)}" if left else name, stated
+    words = [item for item in items if item.partition("=")[0].strip() not in sizes]
+    return f"{name}:{','.join(words)}" if words else name, sizes
 
 
-def _values(cause: Tunable, stated: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
+def _values(cause: Tunable, sizes: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
     drawn = np.array([p.prior_sigma for p in cause.parameters]) * rng.standard_normal(len(cause.parameters))
     positive = [p.positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
     drawn = np.where(positive, np.abs(drawn), drawn)
     if isinstance(cause, Mistake):
         return np.ones(len(cause.parameters))
-    if not stated:
+    if not sizes:
         return drawn
     if isinstance(cause, Law):
         moved = cause.columns(injector.space.sightings) @ drawn.reshape(-1, cause.driver.size).T
         rms = float(np.sqrt(np.mean(np.sum(moved[cause.mask(injector.space.sightings) > 0] ** 2, axis=1))))
-        return drawn * stated[SIZE] * cause.parameters[0].factor / rms
-    return np.array([stated.get(p.name, 0.0) * p.factor for p in cause.parameters])
+        return drawn * sizes[SIZE] * cause.parameters[0].factor / rms
+    return np.array([sizes.get(p.name, 0.0) * p.factor for p in cause.parameters])

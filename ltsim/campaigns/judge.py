@@ -42,19 +42,19 @@ class Judge:
         return members(self.truth, self.truth.recording.station)
 
     @property
-    def seen(self) -> Bools:
+    def visible(self) -> Bools:
         """(S, T) which station measured which target whole."""
         return self._means[0]
 
     @cached_property
     def comparable(self) -> bool:
         """True when the criteria exist: two stations and more, each sharing targets with the first that fix a frame."""
-        return len(self.seen) > 1 and bool(self._fixed(self.seen & self.seen[0]).all())
+        return len(self.visible) > 1 and bool(self._fixed(self.visible & self.visible[0]).all())
 
     @cached_property
     def fitted(self) -> Bools:
         """(S,) stations whose targets fix a frame, so that they can be compared with the truth."""
-        return self._fixed(self.seen)
+        return self._fixed(self.visible)
 
     def _fixed(self, use: Bools) -> Bools:
         """(k,): True for sets of targets (k, T) that fix a frame."""
@@ -70,7 +70,7 @@ class Judge:
         recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
             construction, values = ideal(), np.zeros((len(recording.instruments), 0, trials))
-        points, clouds = np.empty(deviation.shape), np.zeros((*self.seen.shape, 3, trials))
+        points, clouds = np.empty(deviation.shape), np.zeros((*self.visible.shape, 3, trials))
         points_of(self.truth.program_of(construction), recording.instrument, deviation, values, points)
         station_means(points, recording.station, recording.target, self._means[1], clouds)
         to_network(clouds, np.ascontiguousarray(self.truth.state.rotation), self.truth.state.position)
@@ -79,19 +79,19 @@ class Judge:
     def criteria(self, clouds: Floats, suffix: str) -> Columns:
         """Distance and coordinate criterion, mean and maximum [um]."""
         trials = clouds.shape[3]
-        found = {
+        columns = {
             f"{kind}_{suffix}_{which}_um": np.empty(trials)
             for kind in ("distance", "coordinate")
             for which in ("mean", "max")
         }
-        mean, largest, coordinate_mean, coordinate_largest = found.values()
-        distance_criterion(clouds, self.seen, mean, largest)
+        mean, largest, coordinate_mean, coordinate_largest = columns.values()
+        distance_criterion(clouds, self.visible, mean, largest)
         placed = np.empty_like(clouds)
         placed[0] = clouds[0]
         for s in range(1, len(placed)):
-            rigid_fit(clouds[s], clouds[0], self.seen[s] & self.seen[0], placed[s])
-        coordinate_criterion(placed, self.seen, coordinate_mean, coordinate_largest)
-        return found
+            rigid_fit(clouds[s], clouds[0], self.visible[s] & self.visible[0], placed[s])
+        coordinate_criterion(placed, self.visible, coordinate_mean, coordinate_largest)
+        return columns
 
     def _truth(self, trials: int) -> Floats:
         """True targets (T, 3, B)."""
@@ -106,9 +106,9 @@ class Judge:
         trials = clouds.shape[3]
         truth, total, count = self._truth(trials), np.zeros(trials), 0
         moved = np.empty_like(truth)
-        for cloud, seen in zip(clouds[self.fitted], self.seen[self.fitted], strict=True):
-            rigid_fit(cloud, truth, seen, moved)
-            count += add_square_error(moved, truth, seen, total)
+        for cloud, visible in zip(clouds[self.fitted], self.visible[self.fitted], strict=True):
+            rigid_fit(cloud, truth, visible, moved)
+            count += add_square_error(moved, truth, visible, total)
         return MICRO * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
@@ -116,12 +116,12 @@ class Judge:
 
         Targets that a trial's readings do not determine (NaN) are left out of it.
         """
-        known = np.isfinite(points).all(axis=1)
+        determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
-        patterns = np.ones((1, len(points)), dtype=bool) if known.all() else np.unique(known, axis=1).T
+        patterns = np.ones((1, len(points)), dtype=bool) if determined.all() else np.unique(determined, axis=1).T
         for pattern, fixed in zip(patterns, self._fixed(patterns), strict=True):
             if fixed:
-                trials = np.flatnonzero(np.all(known == pattern[:, None], axis=0))
+                trials = np.flatnonzero(np.all(determined == pattern[:, None], axis=0))
                 truth = np.ascontiguousarray(self._truth(len(error))[:, :, trials])
                 moved, total = np.empty_like(truth), np.zeros(len(trials))
                 rigid_fit(truth + points[:, :, trials], truth, pattern, moved)
@@ -139,7 +139,7 @@ class Judge:
         return columns
 
     def after(
-        self, block: Block, found: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
+        self, block: Block, estimates: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
     ) -> Columns:
         """Columns of a method: criteria and errors after its parameters and the effects that it estimated.
 
@@ -148,9 +148,9 @@ class Judge:
         """
         deviation = block.deviation
         if effects:
-            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
-        calibrated = self.clouds(deviation, construction, found.values)
+            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), estimates.extra)
+        calibrated = self.clouds(deviation, construction, estimates.values)
         columns: Columns = self.criteria(calibrated, "after") if self.comparable else {}
         columns["error_calibrated_um"] = self.cloud_error(calibrated)
-        columns["target_error_um"] = self.target_error(found.points)
+        columns["target_error_um"] = self.target_error(estimates.points)
         return columns

@@ -45,21 +45,21 @@ class Judged(Result):
     errors: Mapping[str, ShareRemoved]
 
     def _lines(self) -> list[str]:
-        found = next(iter(self.errors.values()))
-        raw, floor = found.raw / MICROMETRE, found.true_parameters / MICROMETRE
-        told = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
-        return [f"Error of a new point: raw {raw:.1f} um, {told}; by the true parameters {floor:.1f} um"]
+        first = next(iter(self.errors.values()))
+        raw, floor = first.raw / MICROMETRE, first.true_parameters / MICROMETRE
+        errors = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
+        return [f"Error of a new point: raw {raw:.1f} um, {errors}; by the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"new_points": lambda: JUDGED.filled(self._rows())}
 
     def _rows(self) -> Iterator[list[Any]]:
-        for name, found in self.errors.items():
-            sizes = (found.raw, found.calibrated, found.true_parameters)
-            yield [name, *(size / MICROMETRE for size in sizes), found.share]
+        for name, error in self.errors.items():
+            sizes = (error.raw, error.calibrated, error.true_parameters)
+            yield [name, *(size / MICROMETRE for size in sizes), error.share]
 
 
-def _alike(readings: Floats, others: Floats) -> bool:
+def _same_readings(readings: Floats, others: Floats) -> bool:
     """True where readings [m, rad] differ by the rounding of a file at most, or where some have been left out."""
     return readings.shape != others.shape or not np.any(np.abs(readings - others) > SAME)
 
@@ -109,22 +109,28 @@ def judge(
     here = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
     made, truth = measure(fieldwork(here, seed), seed, trial)
-    found = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
-    for name, own in found.items():
-        seen = own.adjustment.recording.readings if own.adjustment and own.method == "network" else made.readings
-        if not _alike(seen, made.readings):  # the distance methods adjust what they have corrected
+    named = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
+    for name, calibration in named.items():
+        readings = (
+            calibration.adjustment.recording.readings
+            if calibration.adjustment and calibration.method == "network"
+            else made.readings
+        )
+        if not _same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
-    if not found:
+    if not named:
         raise SetupError("there is no calibration to judge")
     values = np.array([*truth.instrument.values()]).reshape(len(here.trackers), -1)
     work = fieldwork(judge_of(str(judge_in), here, place), seed, JUDGE)
-    recording, there = measure(work, seed, trial, values=values, apart=JUDGE)
+    recording, there = measure(work, seed, trial, values=values, stream_key=JUDGE)
 
     def error(points: Any) -> float:
         return cloud_error(recording, points, there.points)
 
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
-    taken = found if applied else {name: replace(own, correction=None) for name, own in found.items()}
-    corrected = {name: measured_points(correct(recording, own, again=True)) for name, own in taken.items()}
+    taken = named if applied else {name: replace(calibration, correction=None) for name, calibration in named.items()}
+    corrected = {
+        name: measured_points(correct(recording, calibration, again=True)) for name, calibration in taken.items()
+    }
     return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})

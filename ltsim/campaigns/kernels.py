@@ -163,8 +163,8 @@ def points_of(
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
-        own = values[instrument[i]]
-        _amounts(i, chain, deviation[i], own, moved)
+        parameters = values[instrument[i]]
+        _amounts(i, chain, deviation[i], parameters, moved)
         _walk(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
@@ -188,9 +188,9 @@ def readings_of(
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
-        own = values[instrument[i]]
+        parameters = values[instrument[i]]
         for _ in range(STEPS):
-            _amounts(i, chain, deviation[i], own, moved)
+            _amounts(i, chain, deviation[i], parameters, moved)
             _walk(i, chain, moved, path)
             x, y, z = path[0, 0], path[0, 1], path[0, 2]
             largest = 0.0
@@ -228,13 +228,13 @@ def pull_points(
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     force, pull = np.empty((3, trials)), np.empty(trials)
     for i in range(len(deviation)):
-        own = instrument[i]
-        _amounts(i, chain, deviation[i], values[own], moved)
+        tracker = instrument[i]
+        _amounts(i, chain, deviation[i], values[tracker], moved)
         _walk(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
                 force[c, t] = share[i] * forces[owner[i], target[i], c, t]
-        _pull_back(i, chain, deviation[i], moved, path, force, pull, by_values[own])
+        _pull_back(i, chain, deviation[i], moved, path, force, pull, by_values[tracker])
 
 
 @compiled
@@ -273,8 +273,8 @@ def network_gradient(
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     force, pull, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
     for i in range(len(deviation)):
-        own, s = values[instrument[i]], station[i]
-        _amounts(i, chain, predicted[i], own, moved)
+        parameters, s = values[instrument[i]], station[i]
+        _amounts(i, chain, predicted[i], parameters, moved)
         _walk(i, chain, moved, path)
         _miss(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
         _compare(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)

@@ -51,13 +51,13 @@ class BatchFit:
     """(q, B) [SI]: of the further effects."""
     chi2: Floats
     """(B,)."""
-    left: Floats
+    remainder: Floats
     """(B,): distance to the optimum after the last step, in standard deviations."""
 
     @property
     def converged(self) -> Bools:
         """(B,) True where little is left; a NaN is not little."""
-        return self.left < TOLERANCE
+        return self.remainder < TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class BatchNetwork:
     """Its chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Further effects that are estimated. The errors that the recording states are estimated too (`stated`)."""
-    known: NetworkKnowns | None = None
+    shared: NetworkKnowns | None = None
     """Without it everything is found out; not for networks with further effects."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """(3,): which of range, azimuth and elevation are adjusted."""
@@ -94,16 +94,16 @@ class BatchNetwork:
     def model(self) -> MeasurementModel:
         """The forward model that a single adjustment has."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
-        if self.known is not None:
-            vars(model)["nuisances"] = self.known.network.model.nuisances
+        if self.shared is not None:
+            vars(model)["nuisances"] = self.shared.network.model.nuisances
         return model
 
     @cached_property
     def problem(self) -> NetworkProblem:
         """The problem at the nominal state; the same rows that a single adjustment has."""
-        if self.known is None:
+        if self.shared is None:
             return NetworkProblem.of(self.model, use=np.tile(self.recorded, (len(self.recording), 1)))
-        return self.known.network.problem.elsewhere(self.model)
+        return self.shared.network.problem.elsewhere(self.model)
 
     @cached_property
     def nominal(self) -> State:
@@ -129,13 +129,13 @@ class BatchNetwork:
     @cached_property
     def order(self) -> Ints:
         """Columns (K,) of the problem's design in the order of this class: poses, targets, parameters, effects."""
-        if self.known is not None:
-            return self.known.network.order
+        if self.shared is not None:
+            return self.shared.network.order
         unknowns = self.problem.unknowns
         parts = (unknowns.pose, unknowns.target, unknowns.instrument, unknowns.extra)
         order = np.concatenate([part.ravel() for part in parts])
         if len(np.unique(order)) != unknowns.size:
-            raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
+            raise SetupError('stations that share a mark are not supported by the batch solver; use solver = "single"')
         return order
 
     @cached_property
@@ -148,17 +148,19 @@ class BatchNetwork:
     @cached_property
     def _system(self) -> tuple[Floats, Floats]:
         """Whitened design (m, K) of all rows, its columns in the order of the problem, and their residuals (m,)."""
-        found = self.problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
-        system = self.problem.system(self.nominal, replace(found, by_extra=self._extra_design))
+        prediction = (
+            self.problem.model.linearised(self.nominal) if self.shared is None else self._prediction(self.shared)
+        )
+        system = self.problem.system(self.nominal, replace(prediction, by_extra=self._extra_design))
         return as_dense(system.design), system.residual
 
-    def _prediction(self, known: NetworkKnowns) -> Prediction:
+    def _prediction(self, shared: NetworkKnowns) -> Prediction:
         """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
         recording, state = self.recording, self.state
-        by_target = known.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
+        by_target = shared.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
         arm = state.points[recording.target] - state.position[recording.station]
         by_pose = pose_design(by_target, arm)
-        return Prediction(recording.readings, by_pose, by_target, known.by_value, np.zeros((len(recording), 3, 0)))
+        return Prediction(recording.readings, by_pose, by_target, shared.by_value, np.zeros((len(recording), 3, 0)))
 
     @cached_property
     def root(self) -> tuple[Floats, Floats]:
@@ -187,8 +189,8 @@ class BatchNetwork:
         """Standard deviation (I, p) [SI] of the parameters after adjustment."""
         (_, start, end, _), (root, scale) = self.sizes, self.root
         last = inverse_of(root[start:, start:])  # of the last unknowns the inverse is that of the last corner
-        own = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
-        return own.reshape(self.problem.unknowns.instrument.shape)
+        roots = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
+        return roots.reshape(self.problem.unknowns.instrument.shape)
 
     def step(self, gradient: Floats) -> Floats:
         """The Gauss-Newton step (K, B) down a gradient (K, B)."""
@@ -204,11 +206,11 @@ class BatchNetwork:
     @cached_property
     def _by_point(self) -> Floats:
         """Ideal derivative (n, 3, 3) of the readings by the local point."""
-        return sightings_of(self.recording, self.state).jacobian if self.known is None else self.known.by_point
+        return sightings_of(self.recording, self.state).jacobian if self.shared is None else self.shared.by_point
 
     @cached_property
     def _frame(self) -> Frame:
-        return Frame.of(self.recording) if self.known is None else self.known.network._frame
+        return Frame.of(self.recording) if self.shared is None else self.shared.network._frame
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
@@ -219,9 +221,9 @@ class BatchNetwork:
             turn, shift = motion
             places = {"position": state.position @ turn.T + shift, "points": state.points @ turn.T + shift}
             state = replace(state, rotation=turn @ state.rotation, **places)
-        if self.known is None:
+        if self.shared is None:
             return self.model.sightings(state)
-        return self.known.network._extra_sightings.at(state.position, state.rotation, state.points)
+        return self.shared.network._extra_sightings.at(state.position, state.rotation, state.points)
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -265,12 +267,12 @@ class BatchNetwork:
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
-            left = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
-            if not np.any(left >= TOLERANCE):
+            remainder = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
+            if not np.any(remainder >= TOLERANCE):
                 break
             before = squared
         _, points, values, extra = self.split(x)
-        return BatchFit(points, values, extra[: self.model.effects_size], cost - squared, left)
+        return BatchFit(points, values, extra[: self.model.effects_size], cost - squared, remainder)
 
     @property
     def _has_extra(self) -> bool:

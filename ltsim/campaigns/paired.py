@@ -68,16 +68,16 @@ def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> P
     if len(between) != 1:
         raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
     ((along, (first, second)),) = between.items()
-    found = []
-    for common, one, other in _pairs(results, along, first, second):
-        values = [_values(results, statistic, *place) for place in (one, other)]
+    differences = []
+    for common, this, other in _pairs(results, along, first, second):
+        values = [_values(results, statistic, *place) for place in (this, other)]
         both = np.isin(values[0][0], values[1][0]), np.isin(values[1][0], values[0][0])
-        (mean, scatter), (less, apart) = (_linear(v[1][:, keep]) for v, keep in zip(values, both, strict=True))
+        (mean, scatter), (less, less_scatter) = (_linear(v[1][:, keep]) for v, keep in zip(values, both, strict=True))
         count, gap = len(scatter), mean - less
-        half = results.half(count, float(np.std(scatter - apart, ddof=1))) if count > 1 else math.inf
+        half = results.half(count, float(np.std(scatter - less_scatter, ddof=1))) if count > 1 else math.inf
         named = str(first), str(second), statistic, results.units.get(statistic, "")
-        found.append(Difference(common, *named, count, gap, gap - half, gap + half))
-    return Paired(tuple(found))
+        differences.append(Difference(common, *named, count, gap, gap - half, gap + half))
+    return Paired(tuple(differences))
 
 
 def _pairs(results: Statistics, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
@@ -85,18 +85,18 @@ def _pairs(results: Statistics, along: str, first: Any, second: Any) -> Iterator
     factors = [factor.name for factor in results.factors]
     if along not in ("method", *factors):
         raise unknown_name("factor of this campaign", along, ("method", *factors))
-    known = list(methods) if along == "method" else [level[along] for level in levels]
+    choices = list(methods) if along == "method" else [level[along] for level in levels]
     for level in (first, second):
-        if level not in known:
-            raise unknown_name(f"level of {along}", str(level), [str(k) for k in dict.fromkeys(known)])
-    for cell, own in enumerate(levels):
+        if level not in choices:
+            raise unknown_name(f"level of {along}", str(level), [str(k) for k in dict.fromkeys(choices)])
+    for cell, settings in enumerate(levels):
         if along == "method":
-            yield dict(own), (cell, first), (cell, second)
-        elif own[along] == first and (own | {along: second}) in levels:
-            rest = {name: value for name, value in own.items() if name != along}
+            yield dict(settings), (cell, first), (cell, second)
+        elif settings[along] == first and (settings | {along: second}) in levels:
+            rest = {name: value for name, value in settings.items() if name != along}
             for method in methods:
                 several = {"method": method} if len(methods) > 1 else {}
-                yield rest | several, (cell, method), (levels.index(own | {along: second}), method)
+                yield rest | several, (cell, method), (levels.index(settings | {along: second}), method)
 
 
 def _values(results: Statistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:

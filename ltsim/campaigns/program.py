@@ -66,11 +66,11 @@ class ChainProgram(NamedTuple):
     def spread(self, trials: int) -> Self:
         """Program with a last index for the trial, from rows that hold all trials of a pointing one after the other."""
 
-        def apart(rows: Floats) -> Floats:
-            own = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
-            return np.ascontiguousarray(np.moveaxis(own, 2, -1))
+        def per_trial(rows: Floats) -> Floats:
+            by_trial = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
+            return np.ascontiguousarray(np.moveaxis(by_trial, 2, -1))
 
-        return self._replace(amount=apart(self.amount), basis=apart(self.basis), slope=apart(self.slope))
+        return self._replace(amount=per_trial(self.amount), basis=per_trial(self.basis), slope=per_trial(self.slope))
 
 
 def _driven(motion: Motion) -> int:

@@ -1,4 +1,4 @@
-"""Recovery: is what was injected found again, within the stated uncertainty? A check for continuous integration.
+"""Recovery of injected errors within their declared uncertainty: a check for continuous integration.
 
 Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), has it calibrated, by ltsim or by
 a foreign calibrator, and divides the errors of the estimates by their declared sigmas.
@@ -6,14 +6,14 @@ Which errors the instrument has is one of two modes:
 
 * `drawn`: every parameter from its prior. For a correct model and a correct covariance the z-scores are standard
   normal, priors included.
-* `stated`: as the scenario states them (what it draws is drawn). A fixed truth is not what a prior speaks of: an
-  estimate leans to the prior's mean and scatters less than its sigma says. Both follow from the covariance: with C in
-  prior sigmas and the truth t, an estimate errs by -C t on average, with covariance C - C C; so the errors less that
-  mean over that deviation are standard normal too. Besides, the stated intervals have to hold the injected value at
-  least as often as they promise.
+* `stated`: as the scenario declares them (drawn entries are drawn). With a fixed truth the prior biases the estimate
+  towards its mean and narrows its scatter. Both follow from the covariance: with C in prior sigmas and the truth t, the
+  mean error is -C t and its covariance C - C C, so errors reduced by that mean and divided by that deviation are
+  standard normal too. In addition, the declared intervals have to contain the injected value at least as often as they
+  promise.
 
-Of a foreign calibrator no prior is known: with drawn errors its z-scores are to be standard normal; with stated ones
-their mean is to be 0, their spread no wider than 1, and its intervals have to hold the truth. A parameter that has
+The prior of a foreign calibrator is unknown: with drawn errors its z-scores have to be standard normal; with stated
+ones their mean has to be 0, their spread at most 1, and its intervals have to contain the truth. A parameter that has
 neither sigmas nor a tolerance is not checked, and a run with such a parameter does not pass unless that is allowed.
 Chi-square, targets and stations are checked of ltsim's calibrator alone.
 """
@@ -123,7 +123,7 @@ class Recovery(Result):
         if self.tolerance or not self.converged:
             return ()
         judged = np.all(np.isfinite(self.z), axis=0)
-        return tuple(name for name, one in zip(self.names, judged, strict=True) if not one)
+        return tuple(name for name, checked in zip(self.names, judged, strict=True) if not checked)
 
     @property
     def what(self) -> str:
@@ -182,11 +182,11 @@ class Recovery(Result):
         both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
         if len(both) < FEWEST:
             return columns
-        own = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
-        gap, count = np.abs(error[both]) - np.abs(own), len(both)
+        reference = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
+        gap, count = np.abs(error[both]) - np.abs(reference), len(both)
         half = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
         return columns | {
-            "ltsim_rms_error": np.sqrt(np.mean(own**2, axis=0)).tolist(),
+            "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
             "larger_than_ltsim": gap.mean(axis=0).tolist(),
             "larger_low": (gap.mean(axis=0) - half).tolist(),
             "larger_high": (gap.mean(axis=0) + half).tolist(),
@@ -195,40 +195,40 @@ class Recovery(Result):
     def checks(self) -> list[RecoveryCheck]:
         """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
         lost = len(self.trials) - len(self.converged)
-        found = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
+        checks = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
         if len(self.converged) < FEWEST:
-            return found
+            return checks
         chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
         level = FALSE_ALARM / (4 * len(chosen) + 3)
-        found += [check for k in chosen for check in self._of_parameter(k, level)]
-        return found if self.tolerance else found + self._whole(level)
+        checks += [check for k in chosen for check in self._of_parameter(k, level)]
+        return checks if self.tolerance else checks + self._whole(level)
 
     def _of_parameter(self, k: int, level: float) -> list[RecoveryCheck]:
         """Checks of a parameter; z-scores are checked where every trial has one."""
         name, standard, z = self.names[k], self._stacked("standard")[:, k], self.z[:, k]
-        foreign, found = self.converged[0].foreign, list[RecoveryCheck]()
+        foreign, checks = self.converged[0].foreign, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
-            found += parameter_checks(name, standard, level)
+            checks += parameter_checks(name, standard, level)
         if self.errors == "stated" and np.all(np.isfinite(z)):
             mean, spread, coverage = fixed_truth_checks(name, z, level)
-            found += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
-            found.append(coverage)
+            checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
+            checks.append(coverage)
         if self.tolerance:
             given = self.tolerance[name]
             error = self._stacked("estimate")[:, k] - self._stacked("truth")[:, k]
-            found.append(tolerance_check(name, error, given.value, given.words))
-        return found
+            checks.append(tolerance_check(name, error, given.value, given.words))
+        return checks
 
     def _whole(self, level: float) -> list[RecoveryCheck]:
-        parts, found = [trial.network for trial in self.converged], []
+        parts, checks = [trial.network for trial in self.converged], []
         if all(np.isfinite(part.expected) for part in parts):
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))
-            found.append(chi_square_check(chi2, expected, spread, level))
+            checks.append(chi_square_check(chi2, expected, spread, level))
         for what in ("targets", "stations"):
             squares = np.array([getattr(part, what) for part in parts])
             if np.all(np.isfinite(squares)):
-                found.append(mean_check(what, "mean squared error over variance", squares, level))
-        return found
+                checks.append(mean_check(what, "mean squared error over variance", squares, level))
+        return checks
 
     def failures(self) -> list[RecoveryCheck]:
         """Checks that fail."""
@@ -294,8 +294,8 @@ def recover(
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs)
     scenario, given = scenario_of(source), tolerance or {}
-    own, mode = construction_of(scenario), errors or errors_of(scenario)
-    if own.name == "dh" and construction not in (None, "dh"):
+    true_construction, mode = construction_of(scenario), errors or errors_of(scenario)
+    if true_construction.name == "dh" and construction not in (None, "dh"):
         raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
     if mode not in ("drawn", "stated"):
         raise unknown_name("mode of errors", mode, ("drawn", "stated"))
@@ -304,9 +304,9 @@ def recover(
     elif calibrator is not None:
         jobs = 1
     named = each_of(with_effects)
-    seen = simulate(scenario, seed=seed).recording if named else None
-    extra_effects = tuple(wanted(text, seen) for text in named if seen is not None)
-    built = own if construction is None else construction_called(construction)
+    example = simulate(scenario, seed=seed).recording if named else None
+    extra_effects = tuple(wanted(text, example) for text in named if example is not None)
+    built = true_construction if construction is None else construction_called(construction)
     how = How(method, built, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""
     failed = 0

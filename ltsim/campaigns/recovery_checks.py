@@ -21,7 +21,7 @@ FEWEST = 2
 """Trials that a standard deviation needs."""
 MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
-ONE_DEGREE = float(np.sqrt(2.0))
+MAX_RELATIVE_SPREAD = float(np.sqrt(2.0))
 """Standard deviation of a mean square over its mean where all that it averages is one number."""
 
 
@@ -81,14 +81,14 @@ def recovery_checks(
     if unknown := [name for name in tolerance or () if name not in called]:
         raise ModelError(f"the tolerance of '{unknown[0]}' is of none of {', '.join(called)}")
     chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
-    found = []
+    checks = []
     for k in chosen:
         if sigma is not None:
             z = (estimate[:, k] - truth[:, k]) / np.atleast_2d(sigma)[:, k]
-            found += parameter_checks(called[k], z, false_alarm / (3 * len(chosen)))
+            checks += parameter_checks(called[k], z, false_alarm / (3 * len(chosen)))
         if tolerance:
-            found.append(tolerance_check(called[k], estimate[:, k] - truth[:, k], tolerance[called[k]]))
-    return found
+            checks.append(tolerance_check(called[k], estimate[:, k] - truth[:, k], tolerance[called[k]]))
+    return checks
 
 
 def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> RecoveryCheck:
@@ -104,11 +104,11 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], count - 1) / (count - 1)
     inside = stats.binom.ppf([level / 2, 1 - level / 2], count, COVERED) / count
     covered = float(np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED))))
-    apart = min(1 - SPREAD_WITHIN, np.sqrt(tails[0])), max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))
+    deviation = min(1 - SPREAD_WITHIN, np.sqrt(tails[0])), max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))
     held = min(COVERED - COVERAGE_WITHIN, inside[0]), max(COVERED + COVERAGE_WITHIN, inside[1])
     return [
         RecoveryCheck.of(name, "mean z-score", float(z.mean()), -shift, shift),
-        RecoveryCheck.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, apart)),
+        RecoveryCheck.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, deviation)),
         RecoveryCheck.of(name, "coverage of 95 % intervals", covered, *map(float, held)),
     ]
 
@@ -138,7 +138,9 @@ def mean_check(what: str, statistic: str, values: Floats, level: float) -> Recov
     large, or a few that are far off, do not make their own limits wider.
     """
     middle = float(np.median(values))
-    apart = float(np.median(np.abs(values - middle)))
-    relative = min(apart / (stats.norm.ppf(0.75) * middle), ONE_DEGREE) if middle > 0 else ONE_DEGREE
+    deviation = float(np.median(np.abs(values - middle)))
+    relative = (
+        min(deviation / (stats.norm.ppf(0.75) * middle), MAX_RELATIVE_SPREAD) if middle > 0 else MAX_RELATIVE_SPREAD
+    )
     within = max(WHOLE_WITHIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
     return RecoveryCheck.of(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)

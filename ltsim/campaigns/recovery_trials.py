@@ -69,20 +69,20 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | Fa
     law = instrument_law(work.scenario, work.construction)
     names = work.construction.names_of(tuple(work.scenario.trackers))
     laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
-    own = None
+    reference = None
     try:
-        own = score(calibrated(recording, how, how.construction or work.construction), truth, laws)
+        reference = score(calibrated(recording, how, how.construction or work.construction), truth, laws)
     except LtsimError as problem:
         if how.calibrator is None and not isinstance(problem, ConvergenceError):
             raise
         reason = f"trial {index}: {problem}"
     if how.calibrator is None:
-        return FailedTrial(reason, foreign=False) if own is None else own
+        return FailedTrial(reason, foreign=False) if reference is None else reference
     try:
         estimates = estimates_by(how.calibrator, recording, f"trial {index}")
     except CalibratorError as problem:
         return FailedTrial(str(problem), foreign=True)
-    return score_estimates(estimates, truth, how.errors, own)
+    return score_estimates(estimates, truth, how.errors, reference)
 
 
 def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:

@@ -105,11 +105,11 @@ class Results(Statistics, Result):
             for s in self.spread(name):
                 for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
                     bound[(methods.index(s.method), *places[s.cell])] = value
-            meaning, unit = (known.meaning if (known := column_of(name)) else ""), self.units.get(name, "")
-            for own, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
-                said = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
-                about = {"units": unit, "long_name": f"{said}: {meaning}"}
-                variables[name + ending] = ((CALIBRATOR, *axes), own, about)
+            meaning, unit = (column.meaning if (column := column_of(name)) else ""), self.units.get(name, "")
+            for limit, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
+                meaning_of_bound = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
+                about = {"units": unit, "long_name": f"{meaning_of_bound}: {meaning}"}
+                variables[name + ending] = ((CALIBRATOR, *axes), limit, about)
         title = {"title": self.manifest.title, "trials": self.manifest.trials}
         return Dataset(variables, {CALIBRATOR: methods} | axes | along, title)
 
@@ -119,13 +119,13 @@ class Results(Statistics, Result):
         Factors of a full grid are axes; other cells are one axis, the factors' values along it.
         """
         levels, named = self.levels, [(f"{f.name}_" if f.name in ARGUMENTS else f.name, f) for f in self.factors]
-        own = {name: [level[f.name] for level in levels] for name, f in named}
-        steps = {name: _in_order(dict.fromkeys(values)) for name, values in own.items()}
+        axes = {name: [level[f.name] for level in levels] for name, f in named}
+        steps = {name: _in_order(dict.fromkeys(values)) for name, values in axes.items()}
         unit = {name: {"units": f.unit, "keys": " ".join(f.keys)} for name, f in named}
-        places = [tuple(steps[name].index(own[name][k]) for name in steps) for k in range(len(levels))]
+        places = [tuple(steps[name].index(axes[name][k]) for name in steps) for k in range(len(levels))]
         if math.prod(map(len, steps.values())) == len(levels) == len(set(places)):
             return {name: (name, values, unit[name]) for name, values in steps.items()}, places, {}
-        along = {name: ("cell", values, unit[name]) for name, values in own.items()}
+        along = {name: ("cell", values, unit[name]) for name, values in axes.items()}
         return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along
 
 

@@ -40,7 +40,7 @@ from ltsim.simulation.workshop import Layout, planned
 JUDGED = {"criteria", "errors"}
 """Statistics that take corrected readings."""
 TOGETHER = 64
-"""Trials with geometries of their own that are done side by side, as far as their stations see the same."""
+"""Trials per batch where each has a separate geometry and the same sights."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,12 @@ class Prepared:
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
-        found, seed = {}, self.campaign.seed
+        geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
                 key, like = place_key(trial, self.campaign.geometry), self.shared[0].truth
-                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
-        return found
+                geometries[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
+        return geometries
 
 
 @lru_cache(maxsize=4)
@@ -151,7 +151,7 @@ def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
 
 
 def shard_rows(task: ShardTask) -> pa.Table:
-    """The rows of a shard, by method, then by trial; beside those that stay only what is missing is computed."""
+    """Rows of a shard, by method, then by trial; existing rows are reused, missing ones computed."""
     if task.held is None:
         return _computed(task, 0)
     campaign, held = task.campaign, task.held
@@ -164,16 +164,16 @@ def shard_rows(task: ShardTask) -> pa.Table:
     if len(held) < rows_of(campaign, task.shard):
         return _computed(task, 0)
     only = campaign.model_copy(update={"statistics": more, "verify": 0, "stop": None})
-    beside = _computed(replace(task, campaign=only), 0, drawn=more == ("truth",))
-    for own in beside.schema:
-        held = held if own.name in held.column_names else held.append_column(own, beside[own.name])
+    added = _computed(replace(task, campaign=only), 0, drawn=more == ("truth",))
+    for column in added.schema:
+        held = held if column.name in held.column_names else held.append_column(column, added[column.name])
     return held
 
 
 def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
     """The rows of a shard behind so many of its trials; without a calibration where only what was `drawn` is asked."""
     campaign, given = task.campaign, (task.campaign, task.scenario, task.judge)
-    cell = prepared(*("" if one is None else one.model_dump_json(by_alias=True) for one in given))
+    cell = prepared(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     start = task.shard * campaign.shard
     first, last = start + done, min(start + campaign.shard, campaign.trials)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
@@ -220,11 +220,11 @@ class TrialBlock:
 
     @cached_property
     def new_points(self) -> tuple[Judge, Block, Columns] | None:
-        """The same instruments elsewhere: noise of their own, the same amounts of the effects that act there too."""
+        """Held-out points of the same instruments: independent noise, the same sizes of effects that act there too."""
         if self.elsewhere is None:
             return None
         there = Normal(self.campaign.seed, self.block.trials)
-        block = self.elsewhere.truth.drawn(there, self._drifted(), apart=JUDGE)
+        block = self.elsewhere.truth.drawn(there, self._drifted(), stream_key=JUDGE)
         return self.elsewhere, block, self.elsewhere.before(block)
 
     def _drifted(self) -> Floats:
@@ -242,20 +242,24 @@ class TrialBlock:
         wanted, block, truth = self.campaign.statistics, self.block, self.judge.truth
         construction, effects = calibrator.construction, calibrator.effects
         if self.drawn:
-            found = Calibrated.none(truth, construction, effects, len(block.trials))
+            calibrated = Calibrated.none(truth, construction, effects, len(block.trials))
         else:
-            found = calibrator.calibrate(block, self.wanted)
-        columns: Columns = {"status": found.status, "chi2": found.chi2}
-        columns[CHECKED] = np.full(len(found.chi2), np.nan)
+            calibrated = calibrator.calibrate(block, self.wanted)
+        columns: Columns = {"status": calibrated.status, "chi2": calibrated.chi2}
+        columns[CHECKED] = np.full(len(calibrated.chi2), np.nan)
         for place in self.checked:
-            columns[CHECKED][place] = calibrator.difference(block, int(place), found)
+            columns[CHECKED][place] = calibrator.difference(block, int(place), calibrated)
         if JUDGED & {*wanted}:
-            judged = self.shared | self.judge.after(block, found, construction, effects)
-            judged |= self._elsewhere(found, calibrator)
-            columns |= {n: own for n, own in judged.items() if (known := column_of(n)) and known.group in wanted}
+            judged = self.shared | self.judge.after(block, calibrated, construction, effects)
+            judged |= self._elsewhere(calibrated, calibrator)
+            columns |= {
+                n: column_values
+                for n, column_values in judged.items()
+                if (column := column_of(n)) and column.group in wanted
+            }
         labels = labels_of(construction, truth.recording.instruments, effects)
         true_labels = labels_of(truth.construction, truth.recording.instruments, [law.effect for law in truth.effects])
-        (values, sigma), true = found.estimates, block.true_values
+        (values, sigma), true = calibrated.estimates, block.true_values
         if "z-scores" in wanted:
             columns |= z_scores(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:
@@ -264,13 +268,15 @@ class TrialBlock:
             columns |= parameter_columns(true_labels, true, "true")
         return columns
 
-    def _elsewhere(self, found: Calibrated, calibrator: Calibrator) -> Columns:
+    def _elsewhere(self, calibrated: Calibrated, calibrator: Calibrator) -> Columns:
         if self.new_points is None:
             return {}
         there, block, before = self.new_points
-        nowhere = np.full((*there.truth.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
-        after = there.after(block, replace(found, points=nowhere), calibrator.construction, calibrator.effects)
-        return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
+        nowhere = np.full(
+            (*there.truth.state.points.shape, len(calibrated.chi2)), np.nan
+        )  # no target is adjusted there
+        after = there.after(block, replace(calibrated, points=nowhere), calibrator.construction, calibrator.effects)
+        return {f"new_point_{name}": values for name, values in (before | after).items() if name.startswith("error_")}
 
 
 def rows_of(campaign: Campaign, shard: int) -> int:

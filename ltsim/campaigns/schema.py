@@ -1,4 +1,4 @@
-"""manifest.json, recovery.json and the tables beside them: what stands in them, for writers and readers."""
+"""Schemas of manifest.json and recovery.json, and their tables."""
 
 import math
 from collections.abc import Mapping
@@ -54,8 +54,8 @@ def _per_parameter(name: str, unit: str, group: Statistic, meaning: str) -> RowC
 
 def _criterion(kind: str, what: str) -> list[RowColumn]:
     sizes = {
-        f"{kind}_{when}_{which}_um": f"{word} of {what}, {said}"
-        for when, said in (("before", "readings as they are"), ("after", "readings corrected"))
+        f"{kind}_{when}_{which}_um": f"{word} of {what}, {words}"
+        for when, words in (("before", "readings as they are"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
     gain = {f"{kind}_improvement_percent": f"100 (1 - after / before) of the mean {kind} criterion"}

@@ -88,15 +88,21 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         write_recording(recording, folder)
         filled = [word.replace(RECORDING, str(folder)).replace(OUT, str(out)) for word in words]
         try:
-            own = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # that of our processes
-            done = subprocess.run(filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=own)
+            environment = {
+                name: value for name, value in os.environ.items() if name != SAFE_PATH
+            }  # that of our processes
+            done = subprocess.run(
+                filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
+            )
         except OSError as problem:
             raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            said = f"its last line was: {shown(last, MOST_OF_A_LINE)}" if last else "it wrote nothing to standard error"
-            raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {said}")
+            detail = (
+                f"its last line was: {shown(last, MOST_OF_A_LINE)}" if last else "it wrote nothing to standard error"
+            )
+            raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {detail}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
@@ -107,17 +113,17 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
 
 def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
     try:
-        found = _ESTIMATES.validate_python(given)
+        estimates = _ESTIMATES.validate_python(given)
     except ValidationError as problem:
         first = problem.errors()[0]
         place = " ".join(str(part) for part in first["loc"])
         raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
-    lost = next((entry.unit for entry in found.values() if entry.unit not in FACTOR), None)
+    lost = next((entry.unit for entry in estimates.values() if entry.unit not in FACTOR), None)
     if lost is not None:
         raise RecordError(f"'{shown(lost)}' is no unit, expected one of {', '.join(FACTOR)}", file=where)
-    if not found:
-        raise RecordError("holds no parameter, expected one or more", file=where)
-    return found
+    if not estimates:
+        raise RecordError("no parameter in the result; expected at least one", file=where)
+    return estimates
 
 
 @dataclass(frozen=True)
@@ -177,7 +183,7 @@ def true_values(truth: Truth) -> dict[str, TrueValue]:
     return values
 
 
-def check_known(names: Sequence[str], true: Collection[str], truth: Truth) -> None:
+def check_true_parameters(names: Sequence[str], true: Collection[str], truth: Truth) -> None:
     """Raise SetupError for a parameter that is not among the true ones."""
     unknown = [name for name in names if name not in true]
     if unknown:
@@ -203,19 +209,19 @@ class ExpectedTruth:
     """(P,) [SI]: prior sigmas."""
 
     @classmethod
-    def of(cls, found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
+    def of(cls, calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
         """The truth of a simulated recording; `law` as of `score`."""
-        prior = found.prior_sigma.ravel()
-        mean, drawn = np.array([law[name] for name in found.names]).T / prior
-        adjustment = found.adjustment
-        if adjustment is None or found.method != "network":
-            return cls(mean, drawn, found.missed, np.zeros(0, dtype=np.int64), prior)
+        prior = calibration.prior_sigma.ravel()
+        mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
+        adjustment = calibration.adjustment
+        if adjustment is None or calibration.method != "network":
+            return cls(mean, drawn, calibration.missed, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
         more = np.concatenate([np.zeros(0), *reflectors])
         first = model.effects_size + sum(len(heads.parameters) for heads in model.heads)
         columns = np.concatenate([unknowns.instrument.ravel(), unknowns.extra[first : first + len(more)]])
-        free = np.concatenate([~found.held.ravel(), np.ones(len(more), dtype=bool)])
+        free = np.concatenate([~calibration.held.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
         missed = adjustment.kept_covariance[columns[:, None], columns] / np.outer(units, units)
         missed = np.where(free[:, None] & free, missed, 0.0)
@@ -241,67 +247,72 @@ def _reflector_error(truth: Truth) -> Floats:
     return total
 
 
-def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
+def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
     """Score of ltsim's calibration against a truth; raises SetupError where that lacks parameters of the calibration.
 
     `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared one.
     """
-    check_known(found.names, truth.instrument, truth)
-    expected, count = ExpectedTruth.of(found, truth, law), len(found.names)
-    true = np.array([truth.instrument[name] for name in found.names])
-    prior = found.prior_sigma.ravel()
-    error, stated = (found.values.ravel() - true) / prior, found.sigma.ravel() / prior
+    check_true_parameters(calibration.names, truth.instrument, truth)
+    expected, count = ExpectedTruth.of(calibration, truth, law), len(calibration.names)
+    true = np.array([truth.instrument[name] for name in calibration.names])
+    prior = calibration.prior_sigma.ravel()
+    error, sigma_scaled = (calibration.values.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.missed[:count]
-    left = stated**2 - missed**2 @ expected.undrawn
-    noisy = left > NOISELESS * stated**2
-    standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, left, 1.0)), np.nan)
+    variance = sigma_scaled**2 - missed**2 @ expected.undrawn
+    noisy = variance > NOISELESS * sigma_scaled**2
+    standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
     network = NetworkScore(
-        *_network_scores(found, truth, expected), found.fit.chi2, found.fit.dof, *_chi2(found, expected)
+        *_network_scores(calibration, truth, expected),
+        calibration.fit.chi2,
+        calibration.fit.dof,
+        *_chi2(calibration, expected),
     )
-    units = tuple(truth.units[name] for name in found.names)
+    units = tuple(truth.units[name] for name in calibration.names)
     factor = np.array([FACTOR[unit] for unit in units])
-    own = np.stack([found.values.ravel() / factor, found.sigma.ravel() / factor, true / factor, standard])
+    instrument = np.stack(
+        [calibration.values.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
+    )
     more = true_values(truth)
-    fitted = {name: entry for name, entry in _of_effects(found).items() if name in more}
+    fitted = {name: entry for name, entry in _of_effects(calibration).items() if name in more}
     plain = np.all(expected.drawn[:count] == 1.0) and not np.any(expected.mean[:count])  # else priors move effects too
-    beside = np.array([[e.value, e.sigma or np.nan, more[name].value / FACTOR[e.unit]] for name, e in fitted.items()])
-    beside = beside.reshape(-1, 3).T
-    z = (1.0 if plain else np.nan) * (beside[0] - beside[2]) / beside[1]
-    value, sigma, right, scores = np.concatenate([own, np.vstack([beside, z])], axis=1)
-    names, shown = tuple(found.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
+    extra = np.array([[e.value, e.sigma or np.nan, more[name].value / FACTOR[e.unit]] for name, e in fitted.items()])
+    extra = extra.reshape(-1, 3).T
+    z = (1.0 if plain else np.nan) * (extra[0] - extra[2]) / extra[1]
+    value, sigma, right, scores = np.concatenate([instrument, np.vstack([extra, z])], axis=1)
+    names, shown = tuple(calibration.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
     return Trial(names, shown, value, sigma, right, scores, network)
 
 
-def _of_effects(found: Calibration) -> dict[str, ParameterEstimate]:
-    """Parameters of effects that were estimated beside the calibration, by the names of `true_values`."""
+def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
+    """Parameters of effects that were estimated with the calibration, by the names of `true_values`."""
     return {
-        f"{entry.effect}:{own.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
-            own.value, own.sigma, own.unit
+        f"{entry.effect}:{parameter.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
+            parameter.value, parameter.sigma, parameter.unit
         )
-        for entry in found.effects
-        for own in entry.parameters
-        if isinstance(own.value, float) and own.sigma
+        for entry in calibration.effects
+        for parameter in entry.parameters
+        if isinstance(parameter.value, float) and parameter.sigma
     }
 
 
-def _chi2(found: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
+def _chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
     """Mean and standard deviation of chi-square with such truths."""
-    dof, sigma = found.fit.dof, found.fit.chi2_sigma
-    if found.method != "network":
+    dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
+    if calibration.method != "network":
         return (dof, sigma) if expected.is_prior and sigma is not None else (np.nan, np.nan)
-    told, mean = np.eye(len(expected.mean)) - expected.missed, expected.mean
-    lean = float(mean @ told @ mean)
-    return dof + lean - float(np.diag(told) @ expected.undrawn), float(np.sqrt(2 * dof + 4 * lean))
+    resolved, mean = np.eye(len(expected.mean)) - expected.missed, expected.mean
+    lean = float(mean @ resolved @ mean)
+    return dof + lean - float(np.diag(resolved) @ expected.undrawn), float(np.sqrt(2 * dof + 4 * lean))
 
 
-def _network_scores(found: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
+def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
     """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame.
 
     Both as they are to be expected of such truths; of those that are not drawn from the prior for the network method
     alone.
     """
-    adjustment = found.adjustment
-    unknown = found.method != "network" and not expected.is_prior
+    adjustment = calibration.adjustment
+    unknown = calibration.method != "network" and not expected.is_prior
     if adjustment is None or unknown or adjustment.problem.free.shape[1] < 6:
         return float("nan"), float("nan")
     # The truth moved to where the first station is held.
@@ -315,20 +326,20 @@ def _network_scores(found: Calibration, truth: Truth, expected: ExpectedTruth) -
         missed = adjustment.factor.covariance_columns(pick)
         bias, less = -missed @ expected.mean, missed**2 @ expected.undrawn
     points = (truth.points - origin) @ turn + held.position[0]
-    variance = np.einsum("tii->ti", found.target_covariance) - less[unknowns.target]
-    targets = float(np.mean((found.points - points - bias[unknowns.target]) ** 2 / variance))
+    variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target]
+    targets = float(np.mean((calibration.points - points - bias[unknowns.target]) ** 2 / variance))
     squares = []
-    for i, station in enumerate(found.stations[1:], start=1):
+    for i, station in enumerate(calibration.stations[1:], start=1):
         there, at = (truth.position[i] - origin) @ turn + held.position[0], unknowns.pose[i]
-        apart = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
-        error = np.concatenate([station.position - there, apart.as_rotvec()]) - bias[at]
+        rotation = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
+        error = np.concatenate([station.position - there, rotation.as_rotvec()]) - bias[at]
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
         squares.append(error**2 / (sigma**2 - less[at]))
     return targets, float(np.mean(squares)) if squares else float("nan")
 
 
 def score_estimates(
-    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: Errors, own: Trial | None
+    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: Errors, reference: Trial | None
 ) -> Trial:
     """The trial of a foreign calibrator, with ltsim's estimates of the same parameters.
 
@@ -336,7 +347,7 @@ def score_estimates(
     that the truth lacks, or whose unit is of another kind.
     """
     true = true_values(truth)
-    check_known(tuple(estimates), true, truth)
+    check_true_parameters(tuple(estimates), true, truth)
     names = tuple(name for name in true if name in estimates)
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
@@ -349,8 +360,8 @@ def score_estimates(
     right = np.array([true[name].value for name in names]) / factor
     standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
     other = None
-    if own is not None:
-        places = [own.names.index(name) if name in own.names else None for name in names]
-        same = np.array([np.nan if k is None else own.estimate[k] for k in places])
+    if reference is not None:
+        places = [reference.names.index(name) if name in reference.names else None for name in names]
+        same = np.array([np.nan if k is None else reference.estimate[k] for k in places])
         other = Trial(names, units, same, np.full(len(same), np.nan), right, standard)
     return Trial(names, units, value, sigma, right, standard, foreign=True, other=other)

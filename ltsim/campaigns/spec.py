@@ -69,7 +69,7 @@ class Method(TomlSection):
 
 
 class Stop(TomlSection):
-    """Stopping rule of a cell, applied after each round to the rows so far: half as many again a round.
+    """Adaptive stopping rule of a cell, evaluated after each round; every round adds 50 % more trials.
 
     A cell stops when the mean of `statistic` is known `within` its bound for every method.
     """
@@ -101,7 +101,7 @@ class Campaign(TomlSection):
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
     """Number of trials of each cell."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
-    """Number of trials in a file of rows; a kill loses at most one file in progress."""
+    """Trials per output file; if the process is killed at most one unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
     """All trials of a cell share one placing of stations and targets, or each has its own."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
@@ -109,12 +109,12 @@ class Campaign(TomlSection):
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
     """Groups of results that each row holds."""
     judge_in: str = ""
-    """Held-out points on which methods are judged: a scenario (built-in, or a file in the folder of this one), measured
-    with the cell's instruments as they truly are in each trial; or a table of points (`target,x_mm,y_mm,z_mm` in a
-    file `NAME.csv`), measured from the cell's stations."""
+    """Hold-out data for scoring: a scenario (built-in, or a file in the folder of this one) measured with the true
+    instruments of each trial, or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`) measured from the
+    stations of the cell."""
     judge_drift: Annotated[float, Field(ge=0)] = 0.0
-    """Until they measure in `judge_in` the instruments' errors but the range scale move by so many of their priors, at
-    random."""
+    """Random drift of the instruments (except the range scale) between calibration and validation, in units of
+    the prior sigma."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes of the scenario for all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
@@ -141,8 +141,8 @@ class Campaign(TomlSection):
 
     @model_validator(mode="after")
     def _stops_by_what_rows_hold(self) -> Self:
-        known = column_of(self.stop.statistic) if self.stop else None
-        wanted = known and known.group
+        column = column_of(self.stop.statistic) if self.stop else None
+        wanted = column and column.group
         if self.stop and wanted and wanted not in self.statistics:
             raise ValueError(f"it should have '{wanted}' among its statistics, since stop needs {self.stop.statistic}")
         return self
@@ -157,7 +157,7 @@ class Campaign(TomlSection):
         return self
 
     @model_validator(mode="after")
-    def _of_a_size_that_can_be_kept(self) -> Self:
+    def _limit_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
         if cells > MOST_CELLS:
@@ -183,11 +183,11 @@ class Campaign(TomlSection):
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
         """Factors that differ between cells; `scenario` is that of any cell. A title stands for tables."""
         titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
-        found = (
+        factors = (
             Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
             for name, keys in given.items()
         )
-        return tuple(factor for factor in found if factor.kind != "table" or "title" not in self.varied)
+        return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied)
 
     def combinations(self) -> Iterator[dict[str, Any]]:
         """Changes of the scenario for each cell, by dotted key."""
@@ -195,18 +195,18 @@ class Campaign(TomlSection):
         points = self.design.points(self.seed, first) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
             for values in itertools.product(*self.grid.values()):
-                said = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
-                yield self.by_key(said)
+                values_by_name = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
+                yield self.by_key(values_by_name)
 
-    def by_key(self, said: Mapping[str, Any]) -> dict[str, Any]:
+    def by_key(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Values by dotted key, those by a name of `link` for each of its keys."""
-        return {key: value for name, value in said.items() for key in self.link.get(name, (name,))}
+        return {key: value for name, value in values.items() for key in self.link.get(name, (name,))}
 
 
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, or its `tables`, and the scenario of each of its cells, of a file beside it; raises SetupError.
+    """Campaign of a file, or of `tables` in its place, and the scenario of each of its cells; raises SetupError.
 
     `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
     """
@@ -215,19 +215,19 @@ def load_campaign(
         campaign = checked(given, Campaign, "campaign", path)
     if changes:
         campaign = overridden(campaign, changes, path)
-    base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)
+    base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
     common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
     units = changed(base, common, path)  # with the effects that the settings add
     made = []
-    for number, own in enumerate(campaign.combinations(), start=1):
+    for number, values in enumerate(campaign.combinations(), start=1):
         where = f"{path}: cell {number}"
-        inside = {key: quantity(units, key, value, where) for key, value in own.items()}
+        inside = {key: quantity(units, key, value, where) for key, value in values.items()}
         made.append(changed(base, inside, path, where))
     return campaign, tuple(made)
 
 
 def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Campaign:
-    """The campaign with other values of its own keys, or of the scenario's in all cells."""
+    """Campaign with other values of its keys, or of keys of the scenario in all cells."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in changes.items():
         if key in Campaign.model_fields:
@@ -279,14 +279,14 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
 
     Raises SetupError.
     """
-    file = beside(name, path)
+    file = local_file(name, path)
     if name.endswith(".csv"):
         with as_setup_error():
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
-        own = {"gauge": NONE, "lengths": [], "work.targets": NONE, "targets": places, "effects": effects}
-        return changed(scenario, own, path, f"{path}: judge_in")
+        changes = {"gauge": NONE, "lengths": [], "work.targets": NONE, "targets": places, "effects": effects}
+        return changed(scenario, changes, path, f"{path}: judge_in")
     room = load_scenario(file or name)
     same = {"instrument": scenario.instrument, "instruments": scenario.instruments}
     room = room.model_copy(update=same)
@@ -297,8 +297,8 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
     return room
 
 
-def beside(name: str, path: Path) -> Path | None:
-    """A file that a campaign names, seen from its own place or kept beside it; None where there is none."""
+def local_file(name: str, path: Path) -> Path | None:
+    """File that a campaign names, relative to its folder or in it; None where there is none."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
@@ -306,7 +306,7 @@ def beside(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """The CAD files that stand in the workshops, each once."""
+    """CAD files of the workshops, each once."""
     named = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(named)]
 
@@ -314,8 +314,8 @@ def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
 def _by_content(scenario: Scenario) -> Scenario:
     """The scenario with the digests of its CAD files in place of their names."""
     room = scenario.workshop
-    known = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
-    named = [o if o.file is None else o.model_copy(update={"file": known[Path(o.file)]}) for o in room.obstacles]
+    digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
+    named = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in room.obstacles]
     return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(named)})})
 
 

@@ -1,4 +1,4 @@
-"""Network adjustment of trials that each have a geometry of their own, side by side."""
+"""Network adjustment of a batch of trials with a separate geometry per trial."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ class Statistics:
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
         self.folder = folder
-        self._told: dict[str, list[tuple[Any, ...]]] = {}
+        self._cache: dict[str, list[tuple[Any, ...]]] = {}
 
     def _cells(self) -> dict[str, list[Any]]:
         cells = self.manifest.cells
@@ -156,8 +156,8 @@ class Statistics:
     def _hold_cells(self) -> None:
         """Table `cells`, in the types that the rows have; not through Arrow, which imports pandas for any list."""
         cells = self._cells()
-        own = "".join(f", {identifier(factor.name)}" for factor in self.factors)
-        self._base.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{own} FROM rows LIMIT 0")
+        columns = "".join(f", {identifier(factor.name)}" for factor in self.factors)
+        self._base.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{columns} FROM rows LIMIT 0")
         places = ", ".join("?" * len(cells))
         self._base.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
 
@@ -230,31 +230,31 @@ class Statistics:
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
         kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
         what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
-        found = []
+        summaries = []
         for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"isfinite({name})"):
-            half, own = self.half(count, _number(deviation)), (_number(deviation), low, high, tuple(quantiles))
-            found.append(Spread(cell, method, column, count, mean, mean - half, mean + half, *own))
-        return found
+            half, numbers = self.half(count, _number(deviation)), (_number(deviation), low, high, tuple(quantiles))
+            summaries.append(Spread(cell, method, column, count, mean, mean - half, mean + half, *numbers))
+        return summaries
 
     def _each(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
         sql = f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
-        if sql not in self._told:  # a page asks the same for its figures and for each of its tables
-            self._told[sql] = self.query(sql)
-        return self._told[sql]
+        if sql not in self._cache:  # a page asks the same for its figures and for each of its tables
+            self._cache[sql] = self.query(sql)
+        return self._cache[sql]
 
     def _shares(self, column: str) -> list[Spread]:
         """Ratios of means with the interval of their linear form (delta method)."""
         gained, correctable = terms_of(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
-        found = []
+        shares = []
         for cell, method, count, above, below, *moments in self._each(what, "a IS NOT NULL AND b IS NOT NULL", terms):
             value = half = math.nan
             if below > 0:
                 value, (aa, ab, bb) = above / below, map(_number, moments)
                 half = self.half(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
-            found.append(Spread(cell, method, column, count, value, value - half, value + half))
-        return found
+            shares.append(Spread(cell, method, column, count, value, value - half, value + half))
+        return shares
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
@@ -272,13 +272,13 @@ class Statistics:
 
     def z_scores(self) -> list[Scores]:
         """Mean, spread and coverage of the z-scores of every parameter."""
-        found = []
+        summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._quoted(column), column.removeprefix("z:")
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_95})::INT)"
             for cell, method, count, mean, deviation, coverage in self._each(what, f"isfinite({name})"):
-                found.append(Scores(cell, method, parameter, count, mean, _number(deviation), coverage))
-        return sorted(found, key=lambda s: (s.cell, s.method))
+                summaries.append(Scores(cell, method, parameter, count, mean, _number(deviation), coverage))
+        return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def checked(self) -> list[Checked]:
         """Ends of the trials, and the largest difference from the full solver on the sample that was verified."""
@@ -294,11 +294,12 @@ class Statistics:
             "trials": self.manifest.trials,
             "factors": [factor.model_dump() for factor in self.factors],
             "cells": [
-                cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
+                cell.model_dump() | {"levels": levels}
+                for cell, levels in zip(self.manifest.cells, self.levels, strict=True)
             ],
             "ends": [_without_nan(asdict(entry)) for entry in self.checked()],
             "levels": LEVELS,
-            "meanings": {c: known.meaning for c in wanted if (known := column_of(c))},
+            "meanings": {c: described.meaning for c in wanted if (described := column_of(c))},
             "columns": [
                 _without_nan(asdict(entry)) | {"unit": self.units.get(column, "")}
                 for column in wanted
@@ -311,17 +312,17 @@ class Statistics:
 def _without_nan(value: Any) -> Any:
     """The same with None for what is not known, as JSON has it."""
     if isinstance(value, dict):
-        return {key: _without_nan(own) for key, own in value.items()}
+        return {key: _without_nan(entry) for key, entry in value.items()}
     if isinstance(value, tuple):
-        return tuple(_without_nan(own) for own in value)
+        return tuple(_without_nan(entry) for entry in value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:
     """Units in the metadata of a shard's columns, and of the improvements that are added."""
-    said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
+    units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
-    return {name: unit for name, unit in (said | added).items() if unit}
+    return {name: unit for name, unit in (units | added).items() if unit}
 
 
 def _improvements(names: list[str]) -> str:

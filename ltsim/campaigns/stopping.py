@@ -50,7 +50,7 @@ def schedule(trials: int, shard: int) -> list[int]:
 
 
 def rounds(
-    campaign: Campaign, cells: int, known: Callable[[str, int], Mapping[tuple[int, str], float]]
+    campaign: Campaign, cells: int, half_intervals: Callable[[str, int], Mapping[tuple[int, str], float]]
 ) -> Iterator[list[Shard]]:
     """Shards to be done, round by round; a round is asked for when all of the one before are finished.
 
@@ -62,8 +62,8 @@ def rounds(
     open_, done = list(range(cells)), 0
     for goal in schedule(campaign.trials, campaign.shard):
         yield [(cell, shard) for cell in open_ for shard in range(done, goal)]
-        half, done = known(stop.statistic, goal), goal
-        sure = {place for place, own in half.items() if own <= stop.within}
+        half, done = half_intervals(stop.statistic, goal), goal
+        sure = {place for place, half_width in half.items() if half_width <= stop.within}
         open_ = [cell for cell in open_ if not {(cell, method.title) for method in campaign.methods} <= sure]
         if not open_:
             return

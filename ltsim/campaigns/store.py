@@ -73,8 +73,8 @@ class Store:
 
     def shards(self, below: int | None = None) -> list[Path]:
         """Paths of the finished shards, in their order; only those `below` a number."""
-        found = sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
-        return [path for path in found if below is None or path.name < self.shard_path(0, below).name]
+        paths = sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
+        return [path for path in paths if below is None or path.name < self.shard_path(0, below).name]
 
     def rows(self, cell: int, shard: int) -> pa.Table:
         """The rows of a finished shard; raises SetupError when it is damaged."""
@@ -86,11 +86,11 @@ class Store:
 
     def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
         """Raise OSError, ValueError or pyarrow.ArrowException where a shard is not as it was written for its cell."""
-        known = self.digests()
+        digests = self.digests()
         for path in shards:
             name = path.relative_to(self.folder).as_posix()
-            if name in known:
-                if _digest(path) != known[name]:
+            if name in digests:
+                if _digest(path) != digests[name]:
                     raise ValueError(f"{name} was changed since it was written")
                 continue
             label = _label(table_of(path))
@@ -156,7 +156,7 @@ class Store:
             if (self.folder / ROWS).exists():
                 shutil.rmtree(self.folder / ROWS)
 
-    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, known: Mapping[str, str]) -> str:
+    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
         """`whole`, `missing`, `damaged`, or `short` of rows or columns: whether a shard can be relied on.
 
         `known` are the noted digests.
@@ -166,7 +166,7 @@ class Store:
             return "missing"
         try:
             table = table_of(path)
-            noted, label = known.get(path.relative_to(self.folder).as_posix()), _label(table)
+            noted, label = digests.get(path.relative_to(self.folder).as_posix()), _label(table)
             same = noted in (None, _digest(path)) and all(label[k] == key[k] for k in ("campaign", "cell", "shard"))
             short = len(table) < rows or not set(key["statistics"].split()) <= {*statistics_of(table)}
         except (pa.ArrowException, OSError, ValueError, KeyError):

@@ -26,7 +26,7 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import Draw, EffectLaw, Normal, TrialDraws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
-from ltsim.simulation.physics import resolution_of, stated_noise
+from ltsim.simulation.physics import nominal_noise, resolution_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free, mistakes, population_of, simulate_readings
 from ltsim.simulation.workshop import Layout
@@ -51,7 +51,7 @@ class Block:
     gauge_error: Floats
     """(g, B) [m]: stated less true lengths."""
     alone: tuple[Block, ...] = ()
-    """Each trial by itself, in the order of its own pointings, where each has a geometry of its own."""
+    """Single trials, each in the order of its pointings, where each has a separate geometry."""
 
     @property
     def true_values(self) -> Floats:
@@ -105,8 +105,8 @@ class CellTruth:
 
     def chain_of(self, construction: Construction) -> tuple[ChainProgram, Floats]:
         """A construction's chain around the nominal readings, and their derivative (n, 3, p) by its parameters."""
-        for known, chain in self._chains:  # comparing a few is quicker than hashing one
-            if known == construction:
+        for other, chain in self._chains:  # comparing a few is quicker than hashing one
+            if other == construction:
                 return chain
         self._chains.append((construction, self._laid_out(construction)))
         return self._chains[-1][1]
@@ -138,9 +138,9 @@ class CellTruth:
         """Draw the trials from ``width * number`` on."""
         return self.drawn(Normal(seed, width * number + np.arange(width)))
 
-    def drawn(self, numbers: Normal, values: Floats | None = None, *, apart: str = "") -> Block:
-        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given, `apart` as of `TrialDraws`."""
-        draw = self.population.draw(numbers, values, apart=apart)
+    def drawn(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Block:
+        """Draw trials; `values` (I, p, B) [SI] are given errors of the instruments, `stream_key` as of `TrialDraws`."""
+        draw = self.population.draw(numbers, values, stream_key=stream_key)
         return self.read(draw, self._exact(draw.values))
 
     def read(self, draw: Draw, deviation: Floats) -> Block:
@@ -152,8 +152,8 @@ class CellTruth:
                 deviation += self._shift(place, amounts)
             deviation += draw.noise
             deviation = self._quantised(deviation)
-        known = self.population.lengths
-        gauge_error = draw.certified * known.factor[:, None] - known.length[:, None]
+        lengths = self.population.lengths
+        gauge_error = draw.certified * lengths.factor[:, None] - lengths.length[:, None]
         return Block(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
 
     def _with_mistakes(self, draw: Draw) -> Floats:
@@ -161,7 +161,7 @@ class CellTruth:
         assert self.work is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):
-            amounts = tuple(own[:, k] for own in draw.amounts)
+            amounts = tuple(amount[:, k] for amount in draw.amounts)
             gap = simulate_readings(self.work, draw.values[:, :, k], amounts, draw.noise[:, :, k]) - nominal
             gap[:, 1] -= TURN * np.round(gap[:, 1] / TURN) * (np.abs(gap[:, 1]) < 1.5 * TURN)
             parts.append(np.where(self.recorded, gap, 0.0))
@@ -172,8 +172,8 @@ class CellTruth:
         which, sightings = self.recording.instrument, self.sightings
         program, by_value = self.chain_of(self.construction)
         deviation = np.empty((len(which), 3, values.shape[2]))
-        for i, own in enumerate(values):
-            deviation[which == i] = by_value[which == i] @ own
+        for i, parameters in enumerate(values):
+            deviation[which == i] = by_value[which == i] @ parameters
         readings_of(program, which, sightings.local, sightings.jacobian, values, deviation)
         return deviation
 
@@ -190,9 +190,9 @@ class CellTruth:
         of_row = np.broadcast_to(self.step[self.recording.instrument], deviation.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
-            own: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
-            step, start = of_row[own, column, None], self.recording.readings[own, column, None]
-            deviation[own, column] = step * np.round((start + deviation[own, column]) / step) - start
+            selected: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
+            step, start = of_row[selected, column, None], self.recording.readings[selected, column, None]
+            deviation[selected, column] = step * np.round((start + deviation[selected, column]) / step) - start
         return deviation
 
     def readings(self, block: Block, trial: int) -> Floats:
@@ -218,12 +218,20 @@ def truth_of(
     work = fieldwork(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
         raise SetupError("reflectors: trials in batch measure with one SMR; give all SMRs of the scenario one radius")
-    s, known = work.sightings, None if like is None else like.recording
-    if like and known and not scenario.lengths and (s.station_names, s.target_names) == (known.stations, known.targets):
+    s, reference = work.sightings, None if like is None else like.recording
+    if (
+        like
+        and reference
+        and not scenario.lengths
+        and (s.station_names, s.target_names) == (reference.stations, reference.targets)
+    ):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
-        there = replace(like.population, sightings=s, noise=stated_noise(scenario, s))
-        seen, state = known.replace(**pointings, readings=s.raw, notes=work.notes), _start_frame(work, there.mean)
-        return replace(like, recording=seen, state=state, population=there, work=work)
+        there = replace(like.population, sightings=s, noise=nominal_noise(scenario, s))
+        nominal, state = (
+            reference.replace(**pointings, readings=s.raw, notes=work.notes),
+            _start_frame(work, there.mean),
+        )
+        return replace(like, recording=nominal, state=state, population=there, work=work)
     recording = error_free(work)
     population = population_of(work, recording)
     return CellTruth(

@@ -94,7 +94,7 @@ def campaign(
     for note in outcome.notes:
         terminal.note(note)
     terminal.answer(summary)
-    again = f", {outcome.kept} were finished before" if outcome.kept else ""
+    again = f", {outcome.existing} were finished before" if outcome.existing else ""
     terminal.say(f"{outcome.shards} shards written to {folder}{again}\n")
     if not terminal.silent:
         terminal.say(campaign_section(folder).text())

@@ -138,7 +138,7 @@ def _show_places(terminal: Terminal, source: str, alternatives: Sequence[Alterna
 
 def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
     """The plan of a search; the best layout so far is printed and written during the search."""
-    from ltsim.planning.files import opened, with_cad_beside, with_layout
+    from ltsim.planning.files import opened, with_cad_copied, with_layout
     from ltsim.planning.making import Follower
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
@@ -150,7 +150,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 
     def keep(survey: Survey) -> None:
         if folder is not None:
-            stored, cad = with_cad_beside(with_layout(scenario, survey))
+            stored, cad = with_cad_copied(with_layout(scenario, survey))
             try:
                 write_texts(folder, {**cad, SO_FAR: scenario_to_toml(stored)})
             except RecordError as problem:

@@ -14,7 +14,7 @@ from ltsim.recordings.coordinates import Coordinates
 SINGULAR = 1e-7
 """Eigenvalue of correlations over the largest below which a covariance has a rank defect; files round to 1e-9."""
 PLACE_TAKEN = 0.1
-"""Share of the distance between two points within which each stands in the other's place where names are exchanged."""
+"""Share of the distance between two points within which each lies at the place of the other if names are exchanged."""
 OPEN_MOTIONS = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Rigid motions (shifts along x, y, z, turns about them) that a datum in space holds, by the rank defect."""
 
@@ -36,13 +36,13 @@ def open_motions(epoch: Coordinates) -> Floats:
     basis, triangle = np.linalg.qr(motions[:, moving])
     variance, directions = np.linalg.eigh(basis.T @ epoch.covariance @ basis)
     still = directions[:, variance < SINGULAR * scale.max() ** 2]
-    found = np.zeros((6, still.shape[1]))
-    found[moving] = scipy.linalg.solve_triangular(triangle, still)
+    free_motions = np.zeros((6, still.shape[1]))
+    free_motions[moving] = scipy.linalg.solve_triangular(triangle, still)
     if still.shape[1] != defect:
         usual = np.array(OPEN_MOTIONS.get(defect, range(6)) if len(epoch.axes) == len("xyz") else range(6))
-        found = np.eye(6)[:, usual[np.isin(usual, moving)]]
-    found[:3] += np.cross(middle, found[3:].T).T  # turns about the middle as turns about the origin
-    return found
+        free_motions = np.eye(6)[:, usual[np.isin(usual, moving)]]
+    free_motions[:3] += np.cross(middle, free_motions[3:].T).T  # turns about the middle as turns about the origin
+    return free_motions
 
 
 def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
@@ -55,8 +55,8 @@ def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
     before = gap.places[moved][:, gap.axes]
     after = before + gap.gap.reshape(gap.count, -1)[moved]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
-    nearest, own = np.argmin(gaps, axis=1), np.diag(gaps)
-    taken = (nearest != np.arange(len(moved))) & (gaps.min(axis=1) < PLACE_TAKEN * own)
+    nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
+    taken = (nearest != np.arange(len(moved))) & (gaps.min(axis=1) < PLACE_TAKEN * distance)
     places = {moved[i]: moved[nearest[i]] for i in np.flatnonzero(taken).tolist()}
     if not places or set(places) != set(places.values()):
         return None
@@ -68,8 +68,8 @@ def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
 def exchange_note(names: Sequence[str], order: Ints) -> str:
     """The sentence on names that are exchanged in the second epoch."""
     changed = np.flatnonzero(order != np.arange(len(order)))
-    said = listing([names[i] for i in changed.tolist()], len(changed))
-    return f"the names {said} are exchanged in the second epoch: these points are compared by their places"
+    names_changed = listing([names[i] for i in changed.tolist()], len(changed))
+    return f"the names {names_changed} are exchanged in the second epoch: these points are compared by their places"
 
 
 def datum_note(count: int) -> str:

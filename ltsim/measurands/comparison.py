@@ -63,7 +63,7 @@ class Displacement(Entry):
     """p-value of no displacement, with the other displaced points modelled, corrected for all points tested."""
     visible_um: tuple[Finite, Finite]
     """Smallest displacement that is detected with a probability of 80 % [um]: in the best and the worst direction."""
-    own_chi2: Known = None
+    point_chi2: Known = None
     """Chi-square of the point's separate difference between epochs in one frame, whatever the other points did."""
 
     @property
@@ -172,9 +172,9 @@ class Gap:
 
     def cost(self, moved: Sequence[int] = ()) -> float:
         """Weighted sum of squares of what free motions and displacements of `moved` points do not explain."""
-        left, design = self._root @ self.gap, self._design(moved)
+        remaining, design = self._root @ self.gap, self._design(moved)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
-        return float(left @ left - np.sum((basis.T @ left) ** 2))
+        return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate(self, moved: Sequence[int]) -> tuple[Floats, Floats]:
         """Values of free motions and of the displacements of `moved` points, and their covariance."""
@@ -185,11 +185,11 @@ class Gap:
 
 
 def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
-    """The search among the common points that are not `fixed`, known to be stable, and what is told of all."""
+    """Congruence test of the common points that are not `fixed` as stable, and its report on all of them."""
     tested = np.flatnonzero(~fixed)
     moved = _search(gap, tested, level)
     displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
-    statistic, dof, left = gap.cost(), gap.dof, gap.dof - len(gap.axes) * len(moved)
+    statistic, dof, remaining = gap.cost(), gap.dof, gap.dof - len(gap.axes) * len(moved)
     scale = float(gap.estimate(moved)[0][gap.free.shape[1] - 1]) if gap.scaled else None
     return Comparison(
         recording=sources[0],
@@ -199,14 +199,14 @@ def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, Sou
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
-        p_value_after=float(special.chdtrc(left, max(gap.cost(moved), 0.0))) if left > 0 else 1.0,
+        p_value_after=float(special.chdtrc(remaining, max(gap.cost(moved), 0.0))) if remaining > 0 else 1.0,
         scale_ppm=None if scale is None else scale / PPM,
         displacements=displacements,
     )
 
 
 def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
-    """Points that moved: added while one stands out, then each tested again beside the others."""
+    """Points that moved: added while one is significant, then each tested again together with the others."""
     moved: list[int] = []
     limit = special.chdtri(len(gap.axes), level / max(len(tested), 1))
     most = max(0, gap.count - (len(gap.axes) if gap.free.shape[1] else 0))
@@ -247,7 +247,7 @@ def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float)
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
         p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
         visible_um=(float(visible[0]), float(visible[-1])),
-        own_chi2=gap.chi2_of(i),
+        point_chi2=gap.chi2_of(i),
     )
 
 

@@ -46,12 +46,12 @@ def compare(
     """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
     lost = {*first.lost_targets, *second.lost_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    known = _frame("recordings", common, stable, held=3)
+    stable_points = _frame("recordings", common, stable, held=3)
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     given = _in_common(first, second, same_instrument)
-    one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
+    before, after = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
     sources = SourceEntry.of(first.recording), SourceEntry.of(second.recording)
-    return _compared(one, other, scaled, known, known & (stable is not None), level, sources)
+    return _compared(before, after, scaled, stable_points, stable_points & (stable is not None), level, sources)
 
 
 def compare_coordinates(
@@ -71,20 +71,22 @@ def compare_coordinates(
     common = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if free else open_motions(epoch) for epoch in (first, second)]
     is_open = scaled or any(motions.shape[1] for motions in open_)
-    known = _frame("lists", common, stable, held=len(first.axes) if is_open else 0)
-    one, other = (_Epoch.listed(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True))
+    stable_points = _frame("lists", common, stable, held=len(first.axes) if is_open else 0)
+    before, after = (
+        _Epoch.listed(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True)
+    )
     count = 0 if free else max(motions.shape[1] for motions in open_)
     notes = [datum_note(count)] if count else []
     sources = SourceEntry.listed(first), SourceEntry.listed(second)
-    held = known & (stable is not None)
-    return _compared(one, other, scaled, known, held, level, sources, first.along, notes)
+    held = stable_points & (stable is not None)
+    return _compared(before, after, scaled, stable_points, held, level, sources, first.along, notes)
 
 
 def _compared(
     first: _Epoch,
     second: _Epoch,
     scaled: bool,
-    known: Bools,
+    stable: Bools,
     held: Bools,
     level: float,
     sources: tuple[SourceEntry, SourceEntry],
@@ -92,11 +94,11 @@ def _compared(
     notes: Sequence[str] = (),
 ) -> Comparison:
     """The comparison of epochs of the same names; points whose names are exchanged are compared by place."""
-    gap = _aligned(first, second, scaled, known, axes)
+    gap = _aligned(first, second, scaled, stable, axes)
     result = judged(gap, held, level, sources)
     order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
-        result = judged(_aligned(first, second.reordered(order, len(axes)), scaled, known, axes), held, level, sources)
+        result = judged(_aligned(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources)
         notes = [*notes, exchange_note(first.names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
@@ -136,11 +138,13 @@ class _Epoch:
         return cls(names, adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
 
     @classmethod
-    def listed(cls, found: Coordinates, common: Sequence[str], free: Floats) -> Self:
+    def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:
         """Points of a list that leaves motions `free` (6, f)."""
-        at = np.array([found.names.index(name) for name in common])
-        rows = rows_of(at, len(found.axes))
-        return cls(common, found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free)
+        at = np.array([coordinates.names.index(name) for name in common])
+        rows = rows_of(at, len(coordinates.axes))
+        return cls(
+            common, coordinates.points[at], coordinates.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free
+        )
 
     def reordered(self, order: Ints, axes: int) -> Self:
         """The epoch with the place of point `order[i]` at point i."""
@@ -151,19 +155,21 @@ class _Epoch:
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
     """Groups of observations that are the same ones in both epochs, errors included: equal statements."""
-    one, other = first.recording.setup, second.recording.setup
+    earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
             raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
         common.append(PRIORS)
-    if one.gauge is not None and other.gauge is not None and _certificate(one.gauge) == _certificate(other.gauge):
+    if (
+        earlier.gauge is not None
+        and later.gauge is not None
+        and _certificate(earlier.gauge) == _certificate(later.gauge)
+    ):
         shared = [a.problem.gauge.shared for a in (first, second)]
         common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(COEFFICIENT))]
-    known = [
-        {name: t.known_mm for name, t in setup.targets.items() if t.known_mm is not None} for setup in (one, other)
-    ]
-    if known[0] and known[0] == known[1]:
+    control = [{n: t.known_mm for n, t in s.targets.items() if t.known_mm is not None} for s in (earlier, later)]
+    if control[0] and control[0] == control[1]:
         common.append(CONTROL)
     return common
 
@@ -175,32 +181,32 @@ def _certificate(gauge: Gauge) -> Gauge:
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: Ints = SPACE) -> Gap:
+def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> Gap:
     """The second epoch moved onto the first; where both frames are held, as they are; along `axes` (a,)."""
-    one, other, turn = first.points, second.points, np.eye(3)
-    middle = one[known].mean(axis=0)
+    before, after, turn = first.points, second.points, np.eye(3)
+    middle = before[stable].mean(axis=0)
     both = np.hstack([first.free, second.free])
     free = scipy.linalg.orth(both) if both.shape[1] else both
     if free.shape[1] and len(axes) > 1:
-        weights = known.astype(np.float64)
+        weights = stable.astype(np.float64)
         for _ in range(ALIGNING):
-            turn, shift = align(second.points, one, weights)
-            other = second.points @ turn.T + shift
-            off = np.linalg.norm(other - one, axis=1)
-            weights = known / (off + np.median(off[known]) + 1e-12)  # A point that moved must not turn the rest.
-    big = np.kron(np.eye(len(one)), turn[np.ix_(axes, axes)])
+            turn, shift = align(second.points, before, weights)
+            after = second.points @ turn.T + shift
+            off = np.linalg.norm(after - before, axis=1)
+            weights = stable / (off + np.median(off[stable]) + 1e-12)  # A point that moved must not turn the rest.
+    big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
     shared = first.by_given @ second.by_given.T @ big.T
     covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
-    motions = rigid_motion(one, middle)
+    motions = rigid_motion(before, middle)
     motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
-    motions = motions.reshape(len(one), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(one - middle).max()]
+    motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
+    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(before - middle).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
-        motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
-    return Gap(first.names, (other - one)[:, axes].ravel(), covariance, motions, axes, one, scaled)
+        motions = np.hstack([motions, (before - middle)[:, axes].reshape(-1, 1)])
+    return Gap(first.names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:

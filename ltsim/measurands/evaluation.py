@@ -20,8 +20,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MOST_TOLD = 8
-"""Results that stand in the few lines of an evaluation."""
+MOST_REPORTED = 8
+"""Number of results in the summary lines of an evaluation."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,10 +41,10 @@ class Evaluation(Result):
     """(k,): gap between the exact adjustment and its linear form, in standard uncertainties."""
 
     def _lines(self) -> list[str]:
-        told = [r.words for r in self.content.results[:MOST_TOLD]]
-        more = len(self.results) - len(told)
+        lines = [r.words for r in self.content.results[:MOST_REPORTED]]
+        more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.content.coverage:g} % intervals, {self.drawn.trials} trials"
-        return [head, *told, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
+        return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return self.content.tables()
@@ -58,30 +58,32 @@ class Evaluation(Result):
     def warnings(self) -> list[str]:
         """Warnings on figures that are less reliable than they seem, one sentence each."""
         air = self.inputs.air
-        told = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
+        warnings = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
         for i, (task, output) in enumerate(self.results):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > CURVED:
                 gap = f"off by {self.curved[i]:.2g} of it"
-                told.append(f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak")
+                warnings.append(
+                    f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak"
+                )
             elif not self.agrees[i] and self.drawn.stable[i]:
-                told.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
+                warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
         if not self.drawn.stable.all():
             count = int(np.sum(~self.drawn.stable))
-            told.append(
+            warnings.append(
                 f"{count} of {len(self.drawn.stable)} results are not stable to {self.tasks.monte_carlo.digits} digits "
                 f"after {self.drawn.trials} trials; raise most_trials, or ask for fewer digits"
             )
-        return told
+        return warnings
 
     @cached_property
     def content(self) -> UncertaintyFile:
         """The contents of uncertainty.json."""
-        found = self.inputs.origin
-        if isinstance(found, Coordinates):
-            source, frame, sigma0 = SourceEntry.listed(found), "that of the list of coordinates", None
+        origin = self.inputs.origin
+        if isinstance(origin, Coordinates):
+            source, frame, sigma0 = SourceEntry.listed(origin), "that of the list of coordinates", None
         else:
-            source, frame, sigma0 = SourceEntry.of(found.recording), frame_of(found), found.sigma0
+            source, frame, sigma0 = SourceEntry.of(origin.recording), frame_of(origin), origin.sigma0
         return UncertaintyFile(
             recording=source,
             title=self.tasks.title,

@@ -64,8 +64,8 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
     if near is not None:
         centre = (near.centre - place) / scale
         near = Feature(centre, np.broadcast_to(near.normal, centre.shape), near.radius / extent, near.deviations)
-    found = _FITS[kind](local, near)
-    return Feature(found.centre * scale + place, found.normal, found.radius * extent, found.deviations * scale)
+    feature = _FITS[kind](local, near)
+    return Feature(feature.centre * scale + place, feature.normal, feature.radius * extent, feature.deviations * scale)
 
 
 def _fit_line(local: Floats, _near: Feature | None) -> Feature:
@@ -129,10 +129,10 @@ def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
     """One set after another: the best of many axes, each with an algebraic circle across it, is refined."""
     if near is not None:
         return _refined_cylinder(local, near.normal, near.centre, near.radius)
-    found = []
-    for one in local.reshape(-1, *local.shape[-2:]):
-        axes = np.concatenate([np.linalg.svd(one, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
-        many = np.broadcast_to(one, (len(axes), *one.shape))
+    features = []
+    for points in local.reshape(-1, *local.shape[-2:]):
+        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
+        many = np.broadcast_to(points, (len(axes), *points.shape))
         centre, radius = _circle_across(many, axes, strict=False)
         gap = np.hypot(*_about(many, centre, axes)[2:]) - radius[:, None]
         cost = np.where(np.isfinite(radius), np.sum(gap**2, axis=-1), np.inf)
@@ -141,8 +141,8 @@ def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
         size = np.nan_to_num(np.sum(tried.deviations**2, axis=-1), nan=np.inf)
         k = int(np.argmin(size))
         _determined("cylinder", np.isfinite(size[k]), "determine no axis")
-        found.append(Feature(tried.centre[k], tried.normal[k], tried.radius[k], tried.deviations[k]))
-    parts = (np.stack(part) for part in zip(*map(astuple, found), strict=True))
+        features.append(Feature(tried.centre[k], tried.normal[k], tried.radius[k], tried.deviations[k]))
+    parts = (np.stack(part) for part in zip(*map(astuple, features), strict=True))
     return Feature(*(part.reshape((*local.shape[:-2], *part.shape[1:])) for part in parts))
 
 

@@ -126,8 +126,15 @@ class TaskResult(Entry):
         largest, drawn = self.budget[0], self.monte_carlo
         sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
-        beside = drawn.standard_uncertainty, *drawn.symmetric, drawn.agrees, judgement
-        return [self.task, self.name, self.unit, *sizes, *beside, f"{largest.source} ({100 * largest.share:.0f} %)"]
+        monte_carlo = drawn.standard_uncertainty, *drawn.symmetric, drawn.agrees, judgement
+        return [
+            self.task,
+            self.name,
+            self.unit,
+            *sizes,
+            *monte_carlo,
+            f"{largest.source} ({100 * largest.share:.0f} %)",
+        ]
 
 
 class UncertaintyFile(ResultFile):

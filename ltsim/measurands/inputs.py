@@ -74,43 +74,43 @@ class Inputs(ValueEquality):
         an effect does not exist.
         """
         construction = declared_construction(recording) if tasks.calibrate else ideal()
-        found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
-        found.solution.require_success()
+        adjustment = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
+        adjustment.solution.require_success()
         names = _used(tasks)
         for name in names:
             if name not in recording.targets:
                 raise unknown_name("target", name, recording.targets)
-            if name in found.lost_targets:
+            if name in adjustment.lost_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         at = np.array([recording.targets.index(name) for name in names])
-        reach = reach_of(found, at)
-        observed = [replace(s, response=_compact(s.response)) for s in observed_sources(found, reach)]
-        observed += smr_sources(found, reach)
-        further = [_type_b(found, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
-        air, told = _air_of(tasks, float(found.sightings.range_.max()))
-        further += air_sources(found, reach, air) if told else []
-        return cls(found, names, found.state.points[at], reach, (*observed, *further), told)
+        reach = reach_of(adjustment, at)
+        observed = [replace(s, response=_compact(s.response)) for s in observed_sources(adjustment, reach)]
+        observed += smr_sources(adjustment, reach)
+        further = [_type_b(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
+        air, note = _air_of(tasks, float(adjustment.sightings.range_.max()))
+        further += air_sources(adjustment, reach, air) if note else []
+        return cls(adjustment, names, adjustment.state.points[at], reach, (*observed, *further), note)
 
     @classmethod
-    def listed(cls, found: Coordinates, tasks: Tasks) -> Self:
+    def listed(cls, coordinates: Coordinates, tasks: Tasks) -> Self:
         """The points of the tasks in a list of coordinates, which depend on its joint covariance alone.
 
         Raises ModelError where a task asks for points or axes that the list lacks, or for sources that act on readings.
         """
         if tasks.type_b:
             raise ModelError("a list of coordinates holds no readings: type_b acts on readings; give their recording")
-        if len(found.axes) < 3:
-            raise ModelError(f"the list holds {found.axes} alone; tasks need x, y and z")
+        if len(coordinates.axes) < 3:
+            raise ModelError(f"the list holds {coordinates.axes} alone; tasks need x, y and z")
         names = _used(tasks)
         for name in names:
-            if name not in found.names:
-                raise unknown_name("target", name, found.names)
-        at = np.array([found.names.index(name) for name in names])
+            if name not in coordinates.names:
+                raise unknown_name("target", name, coordinates.names)
+        at = np.array([coordinates.names.index(name) for name in names])
         rows = (3 * at[:, None] + np.arange(3)).ravel()
-        values, vectors = np.linalg.eigh(found.covariance[np.ix_(rows, rows)])
+        values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(rows, rows)])
         reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-        source = Source(f"coordinates of {found.title}", "A", reach.T)
-        return cls(found, names, found.points[at], reach, (source,))
+        source = Source(f"coordinates of {coordinates.title}", "A", reach.T)
+        return cls(coordinates, names, coordinates.points[at], reach, (source,))
 
     @property
     def covariance(self) -> Floats:
@@ -157,16 +157,16 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
-    found = [Source(name, "A", reach[rows].T) for name, rows in groups if name and len(rows)]
+    sources = [Source(name, "A", reach[rows].T) for name, rows in groups if name and len(rows)]
     if len(gauge):
-        own = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
-        found.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), own)
+        lengths = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
+        sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
     shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
-    found += [Source(name, "B", response[:, None]) for name, response in shared]
-    return [*found, *_sources_of_known_size(adjustment, reach[at:])]
+    sources += [Source(name, "B", response[:, None]) for name, response in shared]
+    return [*sources, *_sources_of_certificates(adjustment, reach[at:])]
 
 
-def _sources_of_known_size(adjustment: Adjustment, reach: Floats) -> list[Source]:
+def _sources_of_certificates(adjustment: Adjustment, reach: Floats) -> list[Source]:
     """Errors whose size is known beforehand, kind by kind; `reach` begins with the rows of the further effects."""
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
@@ -183,20 +183,20 @@ def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
     rows, columns = np.nonzero(problem.use)
     normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
-    found = []
+    sources = []
     for name, reflector in adjustment.recording.setup.reflectors.items():
         off = normal * ((names == name) * (reflector.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
         if np.any(off):
             change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
-            found.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
-    return found
+            sources.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
+    return sources
 
 
 def _air_of(tasks: Tasks, longest: float) -> tuple[Air, str]:
     """Air of a budget, less what the tasks declare themselves, and its description where ranges are long."""
-    stated = {entry.effect for entry in tasks.type_b}
-    known = {"temperature_k": "station-weather", "gradient_k_per_m": "air-gradient"}
-    air = tasks.air.model_copy(update={size: 0.0 for size, effect in known.items() if effect in stated})
+    declared = {entry.effect for entry in tasks.type_b}
+    effects = {"temperature_k": "station-weather", "gradient_k_per_m": "air-gradient"}
+    air = tasks.air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared})
     return air, air.words(longest) if air.counts(longest) else ""
 
 
@@ -204,11 +204,14 @@ def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]
     """Sources by the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
     problem, sightings = adjustment.problem, adjustment.sightings
     rows, columns = np.nonzero(problem.use)
-    own, sigma = reach[: len(rows)].T, problem.sigma[rows, columns]
-    common = own @ (air.errors(sightings)[rows, columns] / sigma[:, None])
-    scatter = own * (np.sqrt(air.variance(sightings)[rows, columns]) / sigma)
-    found = [Source("temperature of the air", "B", common[:, ::2]), Source("gradient of the air", "B", common[:, 1::2])]
-    return [s for s in (*found, Source("turbulence", "B", _compact(scatter))) if np.any(s.response)]
+    readings, sigma = reach[: len(rows)].T, problem.sigma[rows, columns]
+    common = readings @ (air.errors(sightings)[rows, columns] / sigma[:, None])
+    scatter = readings * (np.sqrt(air.variance(sightings)[rows, columns]) / sigma)
+    sources = [
+        Source("temperature of the air", "B", common[:, ::2]),
+        Source("gradient of the air", "B", common[:, 1::2]),
+    ]
+    return [s for s in (*sources, Source("turbulence", "B", _compact(scatter))) if np.any(s.response)]
 
 
 def _compact(response: Floats) -> Floats:
@@ -251,13 +254,13 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
         raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")
-    for what, wanted, known in (
+    for what, wanted, choices in (
         ("station", entry.stations, recording.stations),
         ("target", entry.targets, recording.targets),
     ):
-        missing = [name for name in wanted if name not in known]
+        missing = [name for name in wanted if name not in choices]
         if missing:
-            raise SetupError(f"type_b.{number}.{what}s: {unknown_name(what, missing[0], known)}")
+            raise SetupError(f"type_b.{number}.{what}s: {unknown_name(what, missing[0], choices)}")
     names = [p.name for p in effect.parameters]
     wrong = [name for name in entry.sizes if name not in names]
     if wrong:

@@ -60,14 +60,16 @@ class Measurand(ValueEquality):
             raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
         try:
             near = fit(task.kind, points[at]) if task.kind in _PARTS else None
-            found = cls(task, at, near)
-            found.values(points)
+            measurand = cls(task, at, near)
+            measurand.values(points)
         except (ModelError, NetworkError) as problem:
             raise ModelError(f"task {task.name}: {problem}") from None
-        wrong = [name for name in task.tolerances if name not in {o.name for o in found.outputs}]
+        wrong = [name for name in task.tolerances if name not in {o.name for o in measurand.outputs}]
         if wrong:
-            raise ModelError(f"task {task.name}: {unknown_name('result', wrong[0], [o.name for o in found.outputs])}")
-        return found
+            raise ModelError(
+                f"task {task.name}: {unknown_name('result', wrong[0], [o.name for o in measurand.outputs])}"
+            )
+        return measurand
 
     @property
     def outputs(self) -> list[Output]:
@@ -120,19 +122,19 @@ class Measurand(ValueEquality):
 
     def _feature(self, chosen: Floats) -> Floats:
         task, near = self.task, self.near
-        found = fit(task.kind, chosen, near)
-        normal = found.normal
+        feature = fit(task.kind, chosen, near)
+        normal = feature.normal
         if near is not None and task.kind != "sphere":
             normal = normal * np.sign(np.einsum("...i,i->...", normal, near.normal))[..., None]
         # The zone that holds all deviations: a diameter for a line, peak to valley for the others.
-        form = 2.0 * found.deviations.max(axis=-1) if task.kind == "line" else np.ptp(found.deviations, axis=-1)
-        diameter = 2.0 * (found.radius + task.radius_offset_mm * MILLIMETRE)
+        form = 2.0 * feature.deviations.max(axis=-1) if task.kind == "line" else np.ptp(feature.deviations, axis=-1)
+        diameter = 2.0 * (feature.radius + task.radius_offset_mm * MILLIMETRE)
         parts = {
-            "centre": found.centre,
+            "centre": feature.centre,
             "normal": normal,
             "diameter": diameter[..., None],
             "form": form[..., None],
-            "offset": np.einsum("...i,...i->...", normal, found.centre)[..., None],
+            "offset": np.einsum("...i,...i->...", normal, feature.centre)[..., None],
         }
         return np.concatenate([parts[name] for name in _PARTS[task.kind]], axis=-1)
 

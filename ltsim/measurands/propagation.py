@@ -105,10 +105,10 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
 
     Zero for a list of coordinates: what made them is not at hand.
     """
-    found = inputs.origin
-    if isinstance(found, Coordinates):
+    origin = inputs.origin
+    if isinstance(origin, Coordinates):
         return np.zeros(sum(len(m.outputs) for m in measurands))
-    recording, problem = found.recording, found.problem
+    recording, problem = origin.recording, origin.problem
     at = [recording.targets.index(name) for name in inputs.targets]
     used, count = problem.use, int(problem.use.sum())
     worst = np.zeros(sum(len(m.outputs) for m in measurands))
@@ -118,11 +118,11 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
         readings[used] += noise * problem.sigma[used]
         again = adjust(
             recording.with_readings(readings),
-            found.construction,
+            origin.construction,
             sigma=problem.sigma,
             use=problem.use,
-            start=found.state,
-            datum=found.datum.names if found.datum is not None else None,
+            start=origin.state,
+            datum=origin.datum.names if origin.datum is not None else None,
         )
         shift = (noise @ inputs.reach[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])
@@ -188,23 +188,23 @@ def draw(
 ) -> Drawn:
     """Trials until every figure is known to a fifth of its tolerance, or the most that the settings allow."""
     exact = _linear_figures(inputs, linear, settings.coverage)
-    kept: list[Floats] = []
+    samples: list[Floats] = []
     figures: list[Floats] = []
     most = max(settings.most_trials // BATCH, 1)
-    known = linear.sigma > 0  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
-    power = np.floor(np.log10(np.where(known, linear.sigma, 1.0))) - (settings.digits - 1)
-    tolerance = np.where(known, 0.5 * 10.0**power, 0.0)
+    uncertain = linear.sigma > 0  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
+    power = np.floor(np.log10(np.where(uncertain, linear.sigma, 1.0))) - (settings.digits - 1)
+    tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear.values)), np.inf)
-    while len(kept) < most and not np.all(FINE * error <= tolerance):
-        shift, grown = _errors(inputs, stretch, settings.seed, len(kept))
+    while len(samples) < most and not np.all(FINE * error <= tolerance):
+        shift, grown = _errors(inputs, stretch, settings.seed, len(samples))
         by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
         points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
-        kept.append(_results(measurands, points, stretch.factor + grown))
-        figures.append(_figures(kept[-1], settings.coverage) - _figures(by_line, settings.coverage))
-        if len(kept) > 1:
+        samples.append(_results(measurands, points, stretch.factor + grown))
+        figures.append(_figures(samples[-1], settings.coverage) - _figures(by_line, settings.coverage))
+        if len(samples) > 1:
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
-    every = np.concatenate(kept)
+    every = np.concatenate(samples)
     return Drawn(
         values=every,
         mean=mean,
@@ -254,17 +254,17 @@ def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: fl
 
     By the characteristic function, which is a product, and its inversion (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
-    apart = sum(float(np.sum(sizes**2)) for _, sizes in others)
-    if sigma == 0 or apart <= NORMAL * sigma**2:
+    independent = sum(float(np.sum(sizes**2)) for _, sizes in others)
+    if sigma == 0 or independent <= NORMAL * sigma**2:
         return float(special.ndtri(0.5 + coverage / 2)) * sigma
     at = STEP * (np.arange(STEPS) + 0.5)
-    left = np.exp(-0.5 * max(1.0 - apart / sigma**2, 0.0) * at**2)
+    damping = np.exp(-0.5 * max(1.0 - independent / sigma**2, 0.0) * at**2)
     for name, sizes in others:
         for size in np.abs(sizes[sizes != 0]) / sigma:
-            left = left * CHARACTERISTIC[name](size * at)
+            damping = damping * CHARACTERISTIC[name](size * at)
 
     def excess(width: float) -> float:
-        return float(2.0 / np.pi * STEP * np.sum(np.sin(width * at) / at * left)) - coverage
+        return float(2.0 / np.pi * STEP * np.sum(np.sin(width * at) / at * damping)) - coverage
 
     return sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
 

@@ -41,7 +41,7 @@ class Tolerance(TomlSection):
     """Upper limit."""
 
     @model_validator(mode="after")
-    def _some_room(self) -> Self:
+    def _positive_width(self) -> Self:
         if self.lower is None and self.upper is None:
             raise ValueError("it should give lower, upper or both")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:

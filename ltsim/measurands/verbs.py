@@ -113,7 +113,9 @@ def compare(
     >>> lt.compare(january, january, same_instrument=True).moved
     ()
     """
-    lists = [one for one in (_coordinates_of(first), _coordinates_of(second)) if one is not None]
+    lists = [
+        coordinates for coordinates in (_coordinates_of(first), _coordinates_of(second)) if coordinates is not None
+    ]
     held = None if stable is None else names(stable)
     if lists and (same_instrument or robust or not calibrate):
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
@@ -126,11 +128,11 @@ def compare(
         raise ModelError(f"{option('free=True')} is for lists of coordinates: what a recording leaves open is known")
 
     def adjusted(recording: Recording) -> Adjustment:
-        found = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)
-        found.solution.require_success()
-        return found
+        adjustment = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)
+        adjustment.solution.require_success()
+        return adjustment
 
-    epochs = [adjusted(recording_of(one)) for one in (first, second) if not isinstance(one, Coordinates)]
+    epochs = [adjusted(recording_of(source)) for source in (first, second) if not isinstance(source, Coordinates)]
     return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
 
 

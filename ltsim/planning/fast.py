@@ -33,14 +33,14 @@ POSE_SCALE = 1e-5
 
 
 @dataclass(frozen=True)
-class StationBlocks:
+class NormalBlocks:
     """N set-ups and what each contributes to the normal equations; P = errors of reflectors, instrument and effects."""
 
     position: Floats
     """(N, 3) [m]."""
     yaw: Floats
     """(N,) [rad]."""
-    seen: Bools
+    visible: Bools
     """(N, T): targets that each measures."""
     held: Bools
     """(N,): whether the targets in sight hold the pose."""
@@ -51,19 +51,19 @@ class StationBlocks:
     xx: Floats
     """(N, 6 + P, 6 + P): pose and parameters, summed over targets."""
 
-    def take(self, which: Ints) -> StationBlocks:
+    def take(self, which: Ints) -> NormalBlocks:
         """Some of the set-ups."""
-        return StationBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
+        return NormalBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @classmethod
-    def joined(cls, parts: Sequence[StationBlocks]) -> StationBlocks:
+    def concatenated(cls, parts: Sequence[NormalBlocks]) -> NormalBlocks:
         """Several sets of set-ups as one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
-    def with_station(self, slot: int, other: StationBlocks) -> StationBlocks:
+    def with_station(self, slot: int, other: NormalBlocks) -> NormalBlocks:
         """A layout of these set-ups with another one (N = 1) as station `slot`."""
         stations = np.arange(len(self.position))
-        return self.joined([self, other]).take(np.where(stations == slot, len(stations), stations))
+        return self.concatenated([self, other]).take(np.where(stations == slot, len(stations), stations))
 
 
 def by_target(errors: IncidenceErrors, target: Ints, targets: int) -> Floats:
@@ -85,7 +85,7 @@ class Reduced:
     """(B,) [m]: root mean square point error, datum the mean of all targets; NaN there too, and where not asked for."""
 
 
-class Reducer:
+class LayoutScorer:
     """Layouts of one workshop: fixed targets, gauge, noise and priors; set-ups that change.
 
     `survey` has everything but the places of the stations, whose number is that of every layout; parameters are those
@@ -97,7 +97,7 @@ class Reducer:
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
         self.construction = construction or misalignment()
-        whole = survey.replace(seen=np.ones_like(survey.seen))
+        whole = survey.replace(visible=np.ones_like(survey.visible))
         pointings, state = whole.recording(self.construction), whole.state(self.construction)
         # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
         problem = (
@@ -128,11 +128,11 @@ class Reducer:
         """Normal equations of gauge, control, levels and priors, in this class's order and units."""
         extra = np.zeros((len(rows), len(self.scale) - len(values)))
         front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
-        kept = np.hstack([*front, rows[:, values] * self.scale[: len(values)], extra])
+        reduced_rows = np.hstack([*front, rows[:, values] * self.scale[: len(values)], extra])
         mesh = rows[:, target[self.mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
-        self._other_kept = kept.T @ kept
+        self._other_reduced = reduced_rows.T @ reduced_rows
         self._other_tt = np.einsum("mti,mtj->tij", mesh, mesh)
-        self._other_tk = np.einsum("mti,mk->tik", mesh, kept)
+        self._other_tk = np.einsum("mti,mk->tik", mesh, reduced_rows)
 
     @property
     def stations(self) -> int:
@@ -147,8 +147,8 @@ class Reducer:
         turn = survey.turn(slot[station], target, face)
         visit = survey.seconds_per_move + len(survey.points) * len(survey.faces) * survey.seconds_per_pointing
         nests = [survey.setup.targets.get(name) for name in survey.target_names]
-        stated = [(nest and nest.nest_normal) or (np.nan, np.nan, np.nan) for nest in nests]
-        normal = np.array(stated, dtype=np.float64)
+        nest_normals = [(nest and nest.nest_normal) or (np.nan, np.nan, np.nan) for nest in nests]
+        normal = np.array(nest_normals, dtype=np.float64)
         return Sightings(
             station=station,
             target=target,
@@ -165,7 +165,7 @@ class Reducer:
             target_names=survey.target_names,
         )
 
-    def rows(self, position: Floats, yaw: Floats, slot: Ints, seen: Bools) -> tuple[Floats, Floats]:
+    def rows(self, position: Floats, yaw: Floats, slot: Ints, visible: Bools) -> tuple[Floats, Floats]:
         """Whitened rows of N set-ups: (N, T, r, 3) by the target, (N, T, r, 6 + P) by pose and parameters.
 
         They are zero for what is not `seen` (N, T). Effects that count time from the start of the work see the first
@@ -175,12 +175,12 @@ class Reducer:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
             whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, slot), strict=True))
             by_target, by_value = self._derivatives(self.sightings(*whole))
-            own = len(self.survey.points) * len(self.survey.faces)
-            by_target, by_value = by_target[own:], by_value[own:]
+            first_rows = len(self.survey.points) * len(self.survey.faces)
+            by_target, by_value = by_target[first_rows:], by_value[first_rows:]
         else:
             by_target, by_value = self._derivatives(self.sightings(position, yaw, slot))
-        weight = (np.sqrt(self.survey.repeats) * seen)[:, :, None, None]
-        shape = (*seen.shape, 3 * len(self.survey.faces))
+        weight = (np.sqrt(self.survey.repeats) * visible)[:, :, None, None]
+        shape = (*visible.shape, 3 * len(self.survey.faces))
         t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
         turned = t @ cross_matrix(self.survey.points[None] - position[:, None])
         return t, np.concatenate([-t, turned, v], axis=3)
@@ -198,22 +198,22 @@ class Reducer:
         return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
 
     def blocks(
-        self, position: Floats, yaw: Floats, slot: Ints | None = None, seen: Bools | None = None
-    ) -> StationBlocks:
+        self, position: Floats, yaw: Floats, slot: Ints | None = None, visible: Bools | None = None
+    ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
 
         `slot` (N,) is the station of the layout that each stands for (its time and name, for effects that know them),
         `seen` (N, T) what it measures; default all.
         """
         at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
-        seen = np.ones((len(position), len(self.survey.points)), dtype=bool) if seen is None else seen
-        t, x = self.rows(position, yaw, at, seen)
+        visible = np.ones((len(position), len(self.survey.points)), dtype=bool) if visible is None else visible
+        t, x = self.rows(position, yaw, at, visible)
         flat = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = holds_pose(self.survey.points, seen, self._vertical[at])
-        return StationBlocks(position, yaw, seen, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+        held = holds_pose(self.survey.points, visible, self._vertical[at])
+        return NormalBlocks(position, yaw, visible, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
-    def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
+    def reduce(self, blocks: NormalBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
         """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout; and target errors."""
         schur, length, inverse, weights = self.eliminated(blocks, chosen)
         size = len(self.scale) - self._nuisance
@@ -221,8 +221,8 @@ class Reducer:
         held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
         information[held] = self.marginal(schur[held], length[held])
         if targets:
-            known = np.isfinite(information).all(axis=(1, 2))
-            rms[known] = self.target_rms(schur[known], inverse[known], weights[known], self.mesh)
+            determined = np.isfinite(information).all(axis=(1, 2))
+            rms[determined] = self.target_rms(schur[determined], inverse[determined], weights[determined], self.mesh)
         return Reduced(information, rms)
 
     def marginal(self, schur: Floats, length: Floats) -> Floats:
@@ -236,31 +236,31 @@ class Reducer:
         corner = roots[:, last, last] / scale[:, last, None]
         return corner @ np.swapaxes(corner, 1, 2)
 
-    def eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+    def eliminated(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
 
         That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest. The
         complement of a layout that leaves a target open is NaN.
         """
-        kept, tt, tk = self._normal(blocks, chosen)
+        reduced, tt, tk = self._normal(blocks, chosen)
         if not self._use.all():  # a whole sight places its target
             spread = np.linalg.eigvalsh(tt)
             open_ = spread[..., 0] <= POINT * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
-            kept[open_.any(axis=1)] = np.nan
+            reduced[open_.any(axis=1)] = np.nan
         inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         weights = inverse @ tk
-        size = kept.shape[1]
-        flat, flat_weights = tk.reshape(len(kept), -1, size), weights.reshape(len(kept), -1, size)
-        schur = kept - np.swapaxes(flat, 1, 2) @ flat_weights
-        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", kept), inverse, weights
+        size = reduced.shape[1]
+        flat, flat_weights = tk.reshape(len(reduced), -1, size), weights.reshape(len(reduced), -1, size)
+        schur = reduced - np.swapaxes(flat, 1, 2) @ flat_weights
+        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverse, weights
 
-    def _normal(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+    def _normal(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
         """Kept block (B, K, K), mesh targets (B, E, 3, 3) and what joins them (B, E, 3, K)."""
         layouts, stations = chosen.shape
         params, gauge = len(self.scale), len(self._gauge)
         size = 6 * stations + 3 * gauge + params
-        kept = np.broadcast_to(self._other_kept, (layouts, size, size)).copy()
+        reduced = np.broadcast_to(self._other_reduced, (layouts, size, size)).copy()
         tk = np.zeros((layouts, len(self.survey.points), 3, size))
         tt = np.zeros((layouts, len(self.survey.points), 3, 3))
         last = slice(size - params, size)
@@ -268,25 +268,25 @@ class Reducer:
             which = chosen[:, s]
             at = slice(6 * s, 6 * s + 6)
             xx, tx = blocks.xx[which], blocks.tx[which]
-            kept[:, at, at] += xx[:, :6, :6]
-            kept[:, at, last] += xx[:, :6, 6:]
-            kept[:, last, at] += xx[:, 6:, :6]
-            kept[:, last, last] += xx[:, 6:, 6:]
+            reduced[:, at, at] += xx[:, :6, :6]
+            reduced[:, at, last] += xx[:, :6, 6:]
+            reduced[:, last, at] += xx[:, 6:, :6]
+            reduced[:, last, last] += xx[:, 6:, 6:]
             tk[:, :, :, at] = tx[:, :, :, :6]
             tk[:, :, :, last] += tx[:, :, :, 6:]
             tt += blocks.tt[which]
         for g, t in enumerate(self._gauge):
             at = slice(6 * stations + 3 * g, 6 * stations + 3 * g + 3)
-            kept[:, at, :] += tk[:, t]
-            kept[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
-            kept[:, at, at] += tt[:, t]
+            reduced[:, at, :] += tk[:, t]
+            reduced[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
+            reduced[:, at, at] += tt[:, t]
         if self._rank_free:
             datum = self._datum(blocks.position[chosen])
-            own = slice(0, datum.shape[2])
-            kept[:, own, own] += np.swapaxes(datum, 1, 2) @ datum
+            pose_columns = slice(0, datum.shape[2])
+            reduced[:, pose_columns, pose_columns] += np.swapaxes(datum, 1, 2) @ datum
         mesh = tt[:, self.mesh] + self._other_tt
         unseen = np.einsum("beii->be", mesh) == 0.0
-        return kept, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
+        return reduced, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
 
     def _datum(self, position: Floats) -> Floats:
         """Rows (B, f, 6 a) that hold stations at `position` (B, S, 3) against the free rigid motions.
@@ -302,9 +302,9 @@ class Reducer:
 
     def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Point error (B,) [m], root mean square, weighted as the survey says; parameters as of `target_variance`."""
-        own = self.target_variance(schur, inverse, weights, mesh)
+        variance = self.target_variance(schur, inverse, weights, mesh)
         weight = self._weight[self.asked(mesh)]
-        return np.sqrt(np.sum(weight * own, axis=1) / np.sum(weight * np.ones_like(own), axis=1))
+        return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def asked(self, mesh: Ints) -> Ints:
         """(1 or B, E + gauge): targets of the survey that `target_variance` tells of."""
@@ -337,11 +337,13 @@ class Reducer:
         rows = motion.reshape(layouts, axes, self._rank_free)
         held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)
         flat = carry.reshape(layouts, axes, size)
-        left = flat - rows @ (held @ flat)
+        constrained = flat - rows @ (held @ flat)
         part = held.reshape(layouts, self._rank_free, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
         moved = np.einsum("beij,befj->beif", inverse, part)
         common = np.einsum("befi,beig->bfg", part, moved)
-        own = ((left @ covariance) * left).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
-        own += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
-        own[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum("beif,beif->be", motion[:, :count], moved)
-        return POSE_SCALE**2 * own
+        variance = ((constrained @ covariance) * constrained).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
+        variance += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
+        variance[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum(
+            "beif,beif->be", motion[:, :count], moved
+        )
+        return POSE_SCALE**2 * variance

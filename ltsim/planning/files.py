@@ -13,7 +13,7 @@ from ltsim.core.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning import tables
 from ltsim.planning.information import ExpectedErrors
 from ltsim.planning.loading import load_plan
-from ltsim.planning.planner import Evaluated, Option, PlannedNetwork
+from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork, TradeoffPoint
 from ltsim.planning.reasons import fewest, reasons
 from ltsim.planning.result import NextFile, PlanResult
 from ltsim.planning.schema import in_millimetres
@@ -28,12 +28,12 @@ from ltsim.simulation.workshop import bodies_of
 SCENARIO = "scenario.toml"
 """The hall with the plan's stations, in the plan's folder."""
 PLAN = "plan.toml"
-"""The plan that the board saves beside it."""
+"""Plan file that the board saves in the folder of a plan."""
 
 
-def plan_file(plan: PlannedNetwork, found: Detectability | None = None) -> PlanResult:
+def plan_file(plan: PlannedNetwork, report: Detectability | None = None) -> PlanResult:
     """The content of `plan.json`."""
-    sentences, few, kept, judged = reasons(plan), fewest(plan), plan.kept, plan.verdict
+    sentences, few, check, judged = reasons(plan), fewest(plan), plan.check, plan.verdict
     content: dict[str, Any] = {
         "title": plan.file.title or plan.scenario.title,
         "summary": sentences[0],
@@ -44,24 +44,24 @@ def plan_file(plan: PlannedNetwork, found: Detectability | None = None) -> PlanR
         "reference": None if plan.reference is None else _layout(plan.reference),
         "fewest_stations": None if few is None else _option(few),
         "tradeoff": [_option(option) for option in plan.options],
-        "reflector_changes": plan.changes.told,
+        "reflector_changes": plan.changes.reported,
         "changes_tried": plan.changes.summary,
         "starts": plan.spread,
         "bodies": [body.words for body in bodies_of(plan.scenario)],
         "reached": None if judged is None else judged.reached,
-        "tolerances_kept": None if kept is None else kept.good,
-        "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
+        "tolerances_met": None if check is None else check.good,
+        "losses": [{**vars(loss), "met": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),
         "seed": plan.file.search.seed,
     }
-    if found is not None:
-        content["detectable"] = [_detectable(row) for row in found.table()]
-        content["alike"] = [{"effect": a, "taken_for": b, "share": share} for a, b, share in found.confusable()]
-        content["silent"] = found.silent
+    if report is not None:
+        content["detectable"] = [_detectable(row) for row in report.table()]
+        content["confusable"] = [{"effect": a, "taken_for": b, "share": share} for a, b, share in report.confusable()]
+        content["silent"] = report.silent
     return PlanResult.model_validate(content)
 
 
-def _layout(layout: Evaluated, plan: PlannedNetwork | None = None) -> dict[str, Any]:
+def _layout(layout: LayoutEvaluation, plan: PlannedNetwork | None = None) -> dict[str, Any]:
     """The keys of a `LayoutEntry`; those of a plan's own layout hold its tolerances."""
     information, survey = layout.information, layout.survey
     return {
@@ -76,12 +76,12 @@ def _layout(layout: Evaluated, plan: PlannedNetwork | None = None) -> dict[str, 
             for d, cure in zip(information.undetermined, information.cures(), strict=True)
         ],
         "expected_improvement": None if layout.expected is None else _expected(layout.expected),
-        "not_seen": layout.table.lost(survey.station_names, survey.target_names),
+        "blocked_sights": layout.table.lost(survey.station_names, survey.target_names),
     }
 
 
 def _expected(e: ExpectedErrors) -> dict[str, Any]:
-    found = {
+    criteria = {
         "distance": (e.distance_before, e.distance_after, e.distance_improvement),
         "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
     }
@@ -91,7 +91,7 @@ def _expected(e: ExpectedErrors) -> dict[str, Any]:
             "after_um": after[0] / MICROMETRE,
             "improvement_percent": percent[0],
         }
-        for name, (before, after, percent) in found.items()
+        for name, (before, after, percent) in criteria.items()
     }
 
 
@@ -103,16 +103,16 @@ def _places(survey: Survey) -> list[dict[str, Any]]:
     ]
 
 
-def _stations(layout: Evaluated) -> list[dict[str, Any]]:
+def _stations(layout: LayoutEvaluation) -> list[dict[str, Any]]:
     sigma = np.sqrt(np.einsum("sii->si", layout.information.pose_covariance[:, :3, :3])) / MICROMETRE
-    seen = layout.survey.seen.sum(axis=1).tolist()
+    counts = layout.survey.visible.sum(axis=1).tolist()
     return [
-        {**place, "sigma_position_um": np.round(own, 2).tolist(), "reflectors_seen": count}
-        for place, own, count in zip(_places(layout.survey), sigma, seen, strict=True)
+        {**place, "sigma_position_um": np.round(station_sigma, 2).tolist(), "visible_reflectors": count}
+        for place, station_sigma, count in zip(_places(layout.survey), sigma, counts, strict=True)
     ]
 
 
-def _reflectors(layout: Evaluated, plan: PlannedNetwork | None) -> list[dict[str, Any]]:
+def _reflectors(layout: LayoutEvaluation, plan: PlannedNetwork | None) -> list[dict[str, Any]]:
     survey, information = layout.survey, layout.information
     expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
     rows: list[dict[str, Any]] = []
@@ -123,15 +123,15 @@ def _reflectors(layout: Evaluated, plan: PlannedNetwork | None) -> list[dict[str
                 "position_mm": in_millimetres(survey.points[t], 3),
                 "sigma_um": round(float(information.target_sigma[t]) / MICROMETRE, 2),
                 "U_um": np.round(expanded[t], 2).tolist(),
-                "stations_seeing": int(survey.seen[:, t].sum()),
-                "seen_from": [survey.station_names[s] for s in np.flatnonzero(survey.seen[:, t])],
+                "stations_seeing": int(survey.visible[:, t].sum()),
+                "visible_from": [survey.station_names[s] for s in np.flatnonzero(survey.visible[:, t])],
             }
         )
-        if plan is not None and plan.kept is not None and name in plan.kept.radius:
-            rows[-1]["within_mm"] = plan.kept.radius[name] / MILLIMETRE
+        if plan is not None and plan.check is not None and name in plan.check.radius:
+            rows[-1]["within_mm"] = plan.check.radius[name] / MILLIMETRE
             rows[-1]["tolerance_mm"] = plan.demands.tolerance[name] / MILLIMETRE
-            rows[-1]["used"] = plan.kept.used(name)
-            rows[-1]["kept"] = keeps(plan.kept.used(name))
+            rows[-1]["used"] = plan.check.used(name)
+            rows[-1]["met"] = keeps(plan.check.used(name))
     return rows
 
 
@@ -144,7 +144,7 @@ def _work(survey: Survey) -> dict[str, Any]:
     }
 
 
-def _option(option: Option) -> dict[str, Any]:
+def _option(option: TradeoffPoint) -> dict[str, Any]:
     return {
         **_work(option.survey),
         "stations": len(option.survey.position),
@@ -193,15 +193,15 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     )
 
 
-def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
+def with_cad_copied(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
     """The scenario with its CAD files named from its own folder, and these files by name; raises SetupError."""
     names: dict[str, str] = {}
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):
-        own = Path(path).name
-        names[path] = own if own not in found else f"{len(found) + 1}-{own}"
+        file_name = Path(path).name
+        names[path] = file_name if file_name not in contents else f"{len(contents) + 1}-{file_name}"
         try:
-            found[names[path]] = Path(path).read_bytes()
+            contents[names[path]] = Path(path).read_bytes()
         except OSError as problem:
             raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
     obstacles = tuple(
@@ -209,7 +209,7 @@ def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
         for entry in scenario.workshop.obstacles
     )
     room = scenario.workshop.model_copy(update={"obstacles": obstacles})
-    return scenario.model_copy(update={"workshop": room}), found
+    return scenario.model_copy(update={"workshop": room}), contents
 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
@@ -241,7 +241,7 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
                 "do": p.remedy.words,
                 "kind": p.remedy.kind,
                 "minutes": round(p.remedy.seconds / 60, 2),
-                "tells_apart": p.tells_apart,
+                "distinguishes": p.tells_apart,
                 "decides": p.decides,
                 "position_mm": in_millimetres(there[0]) if (there := p.remedy.set_up) else None,
                 "yaw_deg": _degrees(there[1]) if there else None,
@@ -254,10 +254,10 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
 
 def next_csv(content: NextFile) -> str:
     """The content of `next.csv`."""
-    return tables.NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
+    return tables.NEXT.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in content.proposals).csv()
 
 
-def visibility_table(layout: Evaluated) -> Table:
+def visibility_table(layout: LayoutEvaluation) -> Table:
     """`visibility.csv`: every pair of a station and a target."""
     words, table, survey = layout.table.words(), layout.table, layout.survey
     return tables.VISIBILITY.filled(

@@ -42,9 +42,9 @@ class LayoutInformation:
     def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
         """The information of a survey, by default for the 16 misalignment parameters; NetworkError for an open one."""
         built = construction or misalignment()
-        if not survey.seen.size:
+        if not survey.visible.size:
             raise NetworkError("no station sees a target")
-        unseen = np.flatnonzero(~survey.seen.any(axis=0))
+        unseen = np.flatnonzero(~survey.visible.any(axis=0))
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")
         adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
@@ -189,12 +189,12 @@ class Predictor:
     """(2, G, rows, 3, 3) [m^2]: covariance of the gap between two stations' places of each target."""
 
     @classmethod
-    def of(cls, information: LayoutInformation, left_out: Sequence[Effect] = ()) -> Predictor:
+    def of(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> Predictor:
         """The predictor of a layout whose targets are all seen from all stations.
 
         Effects in `left_out` act and the calibration does not know them; each is a group, at its prior sigma.
         """
-        ways, group = _ways(information, left_out)
+        ways, group = _ways(information, unmodelled)
         names = tuple(dict.fromkeys(group))
         lengths, gaps = _distances(information), _coordinates(information)
         distance = np.empty((2, len(names), len(lengths)))
@@ -223,11 +223,11 @@ class Predictor:
 
 def _mean_gap(square: Floats, spread: Floats) -> Floats:
     """Mean over rows of the expected length (k,), a few requests at a time."""
-    found = [
+    means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
         for part in np.array_split(square, max(1, len(square) // 64))
     ]
-    return np.concatenate(found)
+    return np.concatenate(means)
 
 
 def expected_length(variances: Floats, nodes: int = 48) -> Floats:
@@ -248,14 +248,14 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
     return length * np.sqrt(total[..., 0])
 
 
-def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[tuple[Floats, Floats], list[str]]:
+def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacement of each station's targets (3 S T, errors) per unit error, before and after; each error's group."""
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
-    count, known, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
-    stated = problem.model.extra_size
-    priors = design.shape[0] - problem.free.shape[1] - params - stated
+    count, lengths, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
+    extra = problem.model.extra_size
+    priors = design.shape[0] - problem.free.shape[1] - params - extra
     mean = _means(information)
     _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.size))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
@@ -263,25 +263,27 @@ def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[t
     places = np.concatenate([problem.unknowns.instrument[0], problem.unknowns.extra])
     columns = np.eye(problem.unknowns.size)[:, places]
     answer = adjustment.factor.covariance_columns(columns).T @ design.T
-    by_stated = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], stated)
+    by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], extra)
     errors = np.zeros((design.shape[0], 0))
-    if left_out:
+    if unmodelled:
         space = ResidualSpace.of(adjustment)
-        errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
+        errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
     used = np.flatnonzero(problem.use.ravel())
-    kept = np.r_[0 : count + known, priors : priors + params + stated]
-    before = np.zeros((len(noise), len(kept) + errors.shape[1]))
+    columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
+    before = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
     before[:, :count] = noise[:, used]
-    own = np.hstack([parameters, by_stated])
-    before[:, count + known : len(kept)] = -own * np.append(information.prior_sigma, problem.extra_sigma)
-    before[:, len(kept) :] = noise[:, used] @ errors[:count]
+    by_parameter = np.hstack([parameters, by_extra])
+    before[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
+        information.prior_sigma, problem.extra_sigma
+    )
+    before[:, len(columns_used) :] = noise[:, used] @ errors[:count]
     after = before.copy()
-    after[:, count + known : len(kept)] = 0.0
-    after -= own @ np.hstack([answer[:, kept], answer @ errors])
-    labels = np.where(used % 3 == 0, RANGE_NOISE, ANGLE_NOISE).tolist() + [LENGTHS] * known
+    after[:, count + lengths : len(columns_used)] = 0.0
+    after -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
+    labels = np.where(used % 3 == 0, RANGE_NOISE, ANGLE_NOISE).tolist() + [LENGTHS] * lengths
     labels += [KINDS[p.prior_kind] for p in construction.parameters]
-    labels += [REFLECTORS] * stated
-    return (before, after), labels + [e.name for e in left_out for _ in e.parameters]
+    labels += [REFLECTORS] * extra
+    return (before, after), labels + [e.name for e in unmodelled for _ in e.parameters]
 
 
 def _means(information: LayoutInformation) -> Floats:
@@ -301,12 +303,12 @@ def _distances(information: LayoutInformation) -> Floats:
     gap = state.points[first] - state.points[second]
     unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
     local = np.einsum("sji,pj->spi", state.rotation, unit)
-    own = np.zeros((stations, len(first), stations, targets, 3))
+    displacement = np.zeros((stations, len(first), stations, targets, 3))
     pair = np.arange(len(first))
     for s in range(stations):
-        own[s, pair, s, first] = local[s]
-        own[s, pair, s, second] = -local[s]
-    deviation = own - own.mean(axis=0)
+        displacement[s, pair, s, first] = local[s]
+        displacement[s, pair, s, second] = -local[s]
+    deviation = displacement - displacement.mean(axis=0)
     return deviation.reshape(stations * len(first), -1)
 
 

@@ -39,8 +39,8 @@ BUILT_IN = files("ltsim.planning") / "builtin"
 
 def plan_names() -> tuple[str, ...]:
     """Built-in plan files, then scenarios, which are plans with all settings at their defaults."""
-    own = sorted(f.name.removesuffix(".toml") for f in BUILT_IN.iterdir() if f.name.endswith(".toml"))
-    return (*own, *(name for name in builtin_names() if name not in own))
+    plans = sorted(f.name.removesuffix(".toml") for f in BUILT_IN.iterdir() if f.name.endswith(".toml"))
+    return (*plans, *(name for name in builtin_names() if name not in plans))
 
 
 def plan_text(name: str) -> str:
@@ -74,9 +74,9 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     return made, scenario
 
 
-def _near(name: str, known: Sequence[str]) -> str:
+def _near(name: str, candidates: Sequence[str]) -> str:
     """The names that are most like one that does not exist."""
-    return ", ".join(difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:8]) or "none is named"
+    return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
 
 
 def _given(made: PlanFile, path: Path) -> dict[str, Any]:
@@ -91,17 +91,19 @@ def _given(made: PlanFile, path: Path) -> dict[str, Any]:
 
 
 def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
-    """The scenario that a plan file names, or that of its own tables."""
+    """Scenario that a plan file names, or that its tables describe."""
     points = made.listed
-    own = [name for name in TABLES if name in data]
-    if made.workshop is None and own:
-        raise SetupError(f"{path}: [{own[0]}] goes with a [workshop] of the plan's own; the scenario states its own")
+    tables = [name for name in TABLES if name in data]
+    if made.workshop is None and tables:
+        raise SetupError(
+            f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
+        )
     if made.workshop is not None:
         if "scenario" in data:
             raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
         return _hall_scenario(made, data, points, path)
-    beside = path.parent / made.scenario
-    return _with_points(load_scenario(beside if beside.is_file() else made.scenario), points, path)
+    local = path.parent / made.scenario
+    return _with_points(load_scenario(local if local.is_file() else made.scenario), points, path)
 
 
 def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
@@ -120,9 +122,9 @@ def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
             if name not in names:
                 near = _near(name, names)
                 raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
-    own = [p.name for p in made.reflectors.places] + [s.name for s in made.reflectors.surfaces]
-    for name in own:
-        if own.count(name) > 1 or name in scenario.target_names:
+    new_names = [p.name for p in made.reflectors.places] + [s.name for s in made.reflectors.surfaces]
+    for name in new_names:
+        if new_names.count(name) > 1 or name in scenario.target_names:
             raise SetupError(f"{file}: reflectors has the name '{shown(name)}' twice, or a target has it")
 
 
@@ -137,28 +139,28 @@ def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
         )
     if made.goal.diagnosis and not made.goal.effects:
         raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
-    count, seen_from = made.stations.count or len(scenario.stations), made.stations.seen_from
-    if isinstance(seen_from, int) and seen_from > count:
-        raise SetupError(f"{file}: stations.seen_from is {seen_from}, but there are {count} stations")
+    count, min_stations = made.stations.count or len(scenario.stations), made.stations.min_stations_per_target
+    if isinstance(min_stations, int) and min_stations > count:
+        raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
 
 
 def read_points(path: Path) -> tuple[Point, ...]:
     """The points of a list of coordinates in any dialect, with the keys of a point as further columns; SetupError."""
-    known = list(Point.model_fields)[4:]
+    columns = list(Point.model_fields)[4:]
     with as_setup_error():
-        found = read_coordinates(path)
-        for name in found.further:
-            if name not in known:
-                wanted = f"expected name, x, y, z and, optional, {', '.join(known)}"
+        table = read_coordinates(path)
+        for name in table.further:
+            if name not in columns:
+                wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
                 raise RecordError(f"has the column '{shown(name)}' too many; {wanted}", file=path)
-        return tuple(_point(found, i, path) for i in range(len(found.names)))
+        return tuple(_point(table, i, path) for i in range(len(table.names)))
 
 
-def _point(found: Points, i: int, path: Path) -> Point:
-    where: dict[str, Any] = {"file": path, "row": found.lines[i]}
+def _point(table: Points, i: int, path: Path) -> Point:
+    where: dict[str, Any] = {"file": path, "row": table.lines[i]}
 
     def further(column: str, usual: float | None) -> float | None:
-        text = found.further[column][i] if column in found.further else ""
+        text = table.further[column][i] if column in table.further else ""
         if not text:
             return usual
         value = comma_number(text, column=column, **where)
@@ -166,13 +168,13 @@ def _point(found: Points, i: int, path: Path) -> Point:
             raise RecordError(f"found {value:g}, expected a positive number", column=column, **where)
         return value
 
-    place = dict(zip(("x_mm", "y_mm", "z_mm"), (found.points[i] / MILLIMETRE).round(9).tolist(), strict=True))
+    place = dict(zip(("x_mm", "y_mm", "z_mm"), (table.points[i] / MILLIMETRE).round(9).tolist(), strict=True))
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
         raise RecordError("found nothing, expected a number", column=missing, **where)
-    group = found.further["group"][i] if "group" in found.further else ""
+    group = table.further["group"][i] if "group" in table.further else ""
     rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
-    return Point.model_validate({"name": found.names[i], "group": group, **place, **rest})
+    return Point.model_validate({"name": table.names[i], "group": group, **place, **rest})
 
 
 def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
@@ -214,9 +216,9 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
             continue
         if point.name in scenario.target_names:
             raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
-    own = scenario.targets
-    added = {p.name: PlannedTarget(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in own}
-    return scenario.model_copy(update={"targets": {**own, **added}})
+    existing = scenario.targets
+    added = {p.name: PlannedTarget(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in existing}
+    return scenario.model_copy(update={"targets": {**existing, **added}})
 
 
 def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
@@ -230,12 +232,12 @@ def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
         raise SetupError(
             "the floor has no place where a tripod may stand; widen it, move obstacles, or give a smaller grid_mm"
         )
-    seen = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
-    useful = seen.sum(axis=1) >= FEWEST
+    visible = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
+    useful = visible.sum(axis=1) >= FEWEST
     if not useful.any():
         raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
     spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
-    placement = Placement(grid[useful], seen[useful], spacing, np.zeros((0, 3)), none)
+    placement = Placement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
     chosen = placement.stations(count, 1)
     if len(chosen) < count:
         raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or widen it")

@@ -10,13 +10,13 @@ from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.plan import Plan
-from ltsim.planning.planner import Option, Tried, judge, measure
+from ltsim.planning.planner import StationCountResult, TradeoffPoint, judge, measure
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.site import Placement, Site
+from ltsim.planning.site import Placement, SearchSpace
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, expected_seconds, gathered, search_one
+from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, expected_seconds, gathered, search_from_start
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, holds
+from ltsim.planning.tolerances import Tolerances, is_feasible
 from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
@@ -28,12 +28,12 @@ SEARCHING = 0.8
 FEWEST = 2
 """Stations of a network."""
 LITTLE = 0.95
-"""Factor on the largest error over its tolerance that a further station should bring."""
+"""Factor by which a further station should reduce the largest error over its tolerance; else the search stops."""
 OPEN = (
-    "no layout that was found determines all poses and points; let stations share more points "
-    "(stations.seen_from = 2), or give more stations or search.starts"
+    "no layout of the search determines all poses and points; let stations share more points "
+    "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
 )
-STOPPED = "the search was stopped before it had found a layout"
+STOPPED = "the search was stopped before it found a layout; let it run longer"
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,11 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     heard.progress("judging tolerances and changes", SEARCHING)
     made = judge(search.file, scenario, best.survey)
     heard.progress("judging tolerances and changes", 1.0)
-    own = search.found.get((len(best.survey.position), len(best.survey.faces)), [])
+    values = search.layouts.get((len(best.survey.position), len(best.survey.faces)), [])
     network = replace(
         made,
-        options=search.options(search.found),
-        spread=tuple(sorted(value for value, _, _ in own)),
+        options=search.options(search.layouts),
+        spread=tuple(sorted(value for value, _, _ in values)),
         tried=tuple(search.tried),
         stopped=search.stopped,
     )
@@ -81,8 +81,8 @@ class _Search:
     problem: PlanningProblem
     jobs: int
     heard: Follower
-    found: Layouts = field(default_factory=dict)
-    tried: list[Tried] = field(default_factory=list)
+    layouts: Layouts = field(default_factory=dict)
+    tried: list[StationCountResult] = field(default_factory=list)
     stopped: bool = False
 
     @property
@@ -108,11 +108,11 @@ class _Search:
             self.heard.progress("searching layouts", SEARCHING * share(done))
 
         made, stopped = gathered(self.problem, tasks, self.jobs, progress, keep)
-        self.found |= made
+        self.layouts |= made
         self.stopped |= stopped
         return made
 
-    def at_count(self) -> Option:
+    def at_count(self) -> TradeoffPoint:
         """The best layout for a given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.file.stations.count or len(scenario.stations), scenario.work
@@ -120,18 +120,20 @@ class _Search:
         file = with_reachable_sights(self.file, site)
         self.problem = replace(self.problem, file=file)
         faces, settings = self.ways[0], file.search
-        own = work.faces if work.faces in faces else faces[-1]
+        usual_faces = work.faces if work.faces in faces else faces[-1]
         tasks = [
             SearchTask(n, f, start)
             for f in faces
-            for n in sorted({*file.stations.tries, count})
-            for start in range(settings.starts if (n, f) == (count, own) else settings.starts_of_the_curve)
+            for n in sorted({*file.stations.tradeoff_counts, count})
+            for start in range(settings.starts if (n, f) == (count, usual_faces) else settings.tradeoff_starts)
         ]
         self._estimate(tasks)
         self._gather(tasks, lambda share: share)
-        if (count, own) not in self.found and not self.stopped:
-            search_one(self.problem, SearchTask(count, own, 0))  # the same search again, for its sentence
-        options = self.options(self.found)
+        if (count, usual_faces) not in self.layouts and not self.stopped:
+            search_from_start(
+                self.problem, SearchTask(count, usual_faces, 0)
+            )  # the same search again, for its sentence
+        options = self.options(self.layouts)
         if not options:
             raise SetupError(STOPPED)
         hours = file.budget.hours
@@ -140,72 +142,85 @@ class _Search:
         paid = [o for o in options if o.hours <= hours]
         if not paid:
             cheapest = min(o.hours for o in options)
-            raise SetupError(f"budget.hours is {hours:g}, but the cheapest way of working takes {cheapest:.1f} hours")
+            raise SetupError(
+                f"budget.hours is {hours:g} h, but the cheapest way of working takes {cheapest:.1f} h; give more hours"
+            )
         return min(paid, key=lambda o: o.value)
 
-    def fewest(self) -> Option:
-        """One station more at a time until the tolerances are kept; of the ways that keep them the quickest.
+    def fewest(self) -> TradeoffPoint:
+        """Layout with the fewest stations that meets the tolerances, in the quickest way of working that does.
 
-        Where none keeps them, the one that comes nearest.
+        Where none meets them, the closest one.
         """
-        demands, scenario = Demands.of(self.file), self.problem.scenario
+        demands, scenario = Tolerances.of(self.file), self.problem.scenario
         alone = demands.robust == "no"
         if not self.file.asks_for_sights:
             least = fewest_sights(scenario) + (not alone)
-            self.problem = replace(self.problem, file=self.file.with_seen_from(least))
+            self.problem = replace(self.problem, file=self.file.with_min_stations(least))
         file, faces = self.file, self.ways[0]
-        seen_from = file.stations.seen_from
-        first = max(FEWEST if alone else 3, len(file.stations.fixed), 1 if seen_from == "all" else seen_from)
-        counts = range(first, max(first, file.stations.most) + 1)
+        min_stations = file.stations.min_stations_per_target
+        first = max(FEWEST if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations)
+        counts = range(first, max(first, file.stations.max_count) + 1)
         placement = check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
-        judgements: list[tuple[float, Option]] = []
+        judgements: list[tuple[float, TradeoffPoint]] = []
         k = 0
         for n in counts:
             if n < counts[-1] and (lacking := _lacking(self.problem.site(SearchTask(n, faces[-1], 0)), placement)):
-                self.tried.append(Tried(n, None, False, lacking))
+                self.tried.append(StationCountResult(n, None, False, lacking))
                 continue
             tasks = [SearchTask(n, f, start) for f in faces for start in range(file.search.starts)]
             if not k:
                 self._estimate(tasks, f" for {n} stations, as long again and more for each further number")
             # Few stations are likely enough: each further number counts half of what is left.
             made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
-            options = self.options({key: self._nearest(found, demands) for key, found in made.items()})
+            options = self.options({key: self._nearest(layouts, demands) for key, layouts in made.items()})
             paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
-            results = [(*holds(option.survey, demands, self.problem.built), option) for option in paid]
+            results = [(*is_feasible(option.survey, demands, self.problem.built), option) for option in paid]
             judgements += [(ratio, option) for _, ratio, option in results]
-            self.tried.append(Tried(n, min((ratio for _, ratio, _ in results), default=None), bool(options)))
-            good = [option for kept, _, option in results if kept]
+            self.tried.append(
+                StationCountResult(n, min((ratio for _, ratio, _ in results), default=None), bool(options))
+            )
+            good = [option for feasible, _, option in results if feasible]
             k += 1
             if good:
                 return min(good, key=lambda o: o.hours)
             if self.stopped or self._levels_off():
                 break
         if not judgements:
-            raise SetupError(self._none_found(counts))
-        return min(judgements, key=lambda one: (one[0], one[1].hours))[1]
+            raise SetupError(self._no_layout_message(counts))
+        return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
-    def _nearest(self, found: list[tuple[float, int, Survey]], demands: Demands) -> list[tuple[float, int, Survey]]:
-        """The layout that comes nearest to the tolerances, of those of several starts."""
-        if len(found) == 1:
-            return found
-        return [min(found, key=lambda one: (holds(one[2], demands, self.problem.built)[1], one[0], one[1]))]
+    def _nearest(
+        self, layouts: list[tuple[float, int, Survey]], demands: Tolerances
+    ) -> list[tuple[float, int, Survey]]:
+        """Layout of several starts that comes closest to the tolerances."""
+        if len(layouts) == 1:
+            return layouts
+        return [
+            min(
+                layouts,
+                key=lambda layout: (is_feasible(layout[2], demands, self.problem.built)[1], layout[0], layout[1]),
+            )
+        ]
 
     def _levels_off(self) -> bool:
-        """Two further stations in turn brought next to nothing."""
-        ratios = [one.ratio if one.ratio is not None else np.inf for one in self.tried]
+        """True where the last two further stations reduced the largest error by less than `LITTLE` each."""
+        ratios = [outcome.ratio if outcome.ratio is not None else np.inf for outcome in self.tried]
         return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > LITTLE**2 * ratios[-3]
 
-    def _none_found(self, counts: range) -> str:
+    def _no_layout_message(self, counts: range) -> str:
         hours = self.file.budget.hours
         if self.stopped:
             return STOPPED
-        if hours and any(one.found for one in self.tried):
-            return f"no layout of {counts[0]} to {counts[-1]} stations was found that takes {hours:g} h at most"
+        if hours and any(outcome.has_layout for outcome in self.tried):
+            return (
+                f"no layout of {counts[0]} to {counts[-1]} stations takes at most {hours:g} h; give more budget.hours"
+            )
         try:
-            search_one(self.problem, SearchTask(counts[-1], self.ways[0][-1], 0))
+            search_from_start(self.problem, SearchTask(counts[-1], self.ways[0][-1], 0))
         except (SetupError, NetworkError) as problem:
-            return f"{problem}, or give more stations.most"
-        return "no layout was found; widen the floor or give more stations.most"
+            return f"{problem}, or give more stations.max_count"
+        return "the search found no layout; widen the floor or give more stations.max_count"
 
     def _estimate(self, tasks: Sequence[SearchTask], what: str = "") -> None:
         if self.heard.say is quiet:
@@ -215,15 +230,15 @@ class _Search:
         count = f"{len(tasks)} search{'es' if len(tasks) > 1 else ''}"
         self.heard.say(f"{count}: about {time}{what}; Ctrl-C ends the search and keeps the best layout so far")
 
-    def options(self, layouts: Layouts) -> tuple[Option, ...]:
+    def options(self, layouts: Layouts) -> tuple[TradeoffPoint, ...]:
         """The best layout of every way of working, with each number of repeats; cheapest first."""
         made = []
-        for found in layouts.values():
-            survey = min(found, key=lambda one: one[:2])[2]
+        for starts in layouts.values():
+            survey = min(starts, key=lambda layout: layout[:2])[2]
             for repeats in self.ways[1]:
                 repeated = survey.replace(repeats=repeats)
                 objective = objective_of(self.file, repeated)
-                made.append(Option(repeated, *measure(repeated, objective, self.problem.built)))
+                made.append(TradeoffPoint(repeated, *measure(repeated, objective, self.problem.built)))
         if not made:
             return ()
         made.sort(key=lambda option: (option.hours, option.value))
@@ -232,16 +247,16 @@ class _Search:
         return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
 
 
-def _lacking(site: Site, placement: Placement) -> str:
-    """Points out of sight, in words; empty where some layout has them all, the site's own or one on the grid."""
-    own = site.survey.position
-    if site.joined(own[None], site.seen(own)[None])[0]:
+def _lacking(site: SearchSpace, placement: Placement) -> str:
+    """Points that no layout on the grid, nor the present one, has in sight, in words; empty for none."""
+    position = site.survey.position
+    if site.feasible(position[None], site.visible(position)[None])[0]:
         return ""
-    return site.lacking(placement, placement.stations(len(own) - len(site.fixed), site.least))
+    return site.unseen_targets(placement, placement.stations(len(position) - len(site.fixed), site.min_sights))
 
 
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
-    """Refuse a grid of set-ups that no memory holds."""
+    """Raise SetupError for a grid of set-ups that exceeds the memory."""
     step = file.search.grid_mm
     if step is None:
         return
@@ -256,58 +271,58 @@ def _check_size(file: PlanFile, scenario: Scenario) -> None:
         )
 
 
-def most_sights(site: Site, step: float, heights: int) -> tuple[int, str]:
+def most_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
     """The largest number of stations that some layout has in sight of every reflector; the reflector that limits it.
 
     A lower bound by the greedy placement, which is the truth where some place on the floor sees everything.
     """
     placement, names = site.placement(step, heights), site.survey.target_names
-    limiting = names[int(np.argmin(placement.seen.mean(axis=0)))]
+    limiting = names[int(np.argmin(placement.visible.mean(axis=0)))]
     count = len(site.survey.position) - len(site.fixed)
-    enough = (k for k in range(site.least, 0, -1) if not placement.missing(placement.stations(count, k), k).any())
+    enough = (k for k in range(site.min_sights, 0, -1) if not placement.missing(placement.stations(count, k), k).any())
     return next(enough, 0), limiting
 
 
-def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
-    """The file with a `stations.seen_from` that some layout keeps.
+def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
+    """Plan file with a `stations.min_stations_per_target` that some layout meets.
 
-    One that was asked for is not lowered: SetupError says what can be had.
+    A number that the file states is not lowered: SetupError reports the largest possible one.
     """
     settings, count = file.search, len(site.survey.position)
     step = grid_step(site.areas, settings.grid_mm)
-    found, limiting = most_sights(site, step, settings.heights)
-    if found >= site.least:
+    reachable, limiting = most_sights(site, step, settings.heights)
+    if reachable >= site.min_sights:
         return file
 
     def refused(least: int) -> SetupError | None:
-        """Why the search finds no layout to begin from; None where it does."""
-        searcher = LayoutSearcher(site.replace(least=least), step=step, yaws=1, heights=settings.heights)
+        """Error of the search for an initial layout; None where there is one."""
+        searcher = LayoutSearcher(site.replace(min_sights=least), step=step, yaws=1, heights=settings.heights)
         try:
             searcher.random_layout(stream(settings.seed, "plan", "sights"))
         except SetupError as problem:
             return problem
         return None
 
-    if not file.asks_for_sights and found:
-        while found > 1 and refused(found):
-            found -= 1
-        return file.with_seen_from(found)
-    problem = refused(site.least)
+    if not file.asks_for_sights and reachable:
+        while reachable > 1 and refused(reachable):
+            reachable -= 1
+        return file.with_min_stations(reachable)
+    problem = refused(site.min_sights)
     if problem is None:
         return file
-    if not found:
+    if not reachable:
         raise problem
     cure = "take a station out of stations.fixed" if len(site.fixed) else "widen the floor"
     raise SetupError(
-        f"stations.seen_from asks that every reflector is seen from {site.least} of {count} stations; {found} is "
-        f"the best that was found, and {limiting} is seen from the fewest places: set stations.seen_from = "
-        f"{found}, move {limiting}, or {cure}"
+        f"stations.min_stations_per_target requires {site.min_sights} of {count} stations to see every reflector, but "
+        f"at most {reachable} can, and {limiting} is visible from the fewest places: set "
+        f"stations.min_stations_per_target = {reachable}, move {limiting}, or {cure}"
     )
 
 
-def check_in_sight(site: Site, file: PlanFile) -> Placement:
+def check_in_sight(site: SearchSpace, file: PlanFile) -> Placement:
     """Candidate places of stations; SetupError, with their names, where points are in sight from no place."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
-    if not placement.seen.any(axis=0).all():
-        raise SetupError(site.out_of_sight(np.flatnonzero(~placement.seen.any(axis=0))))
+    if not placement.visible.any(axis=0).all():
+        raise SetupError(site.out_of_sight(np.flatnonzero(~placement.visible.any(axis=0))))
     return placement

@@ -77,20 +77,20 @@ class Objective:
 
     def qualities(self, reduced: Reduced, parameters: int) -> dict[str, Floats]:
         """The wanted qualities (B,); infinite for a layout that determines nothing."""
-        found: dict[str, Floats] = {}
+        qualities: dict[str, Floats] = {}
         if self.weights.get(INSTRUMENT, 0.0) > 0.0:
-            found[INSTRUMENT] = self._instrument(reduced.information[:, :parameters, :parameters])
+            qualities[INSTRUMENT] = self._instrument(reduced.information[:, :parameters, :parameters])
         if self.wants_targets:
-            found[TARGETS] = reduced.target_rms
+            qualities[TARGETS] = reduced.target_rms
         if self.weights.get(DIAGNOSIS, 0.0) > 0.0:
-            found[DIAGNOSIS] = smallest_sizes(reduced.information, parameters, self.effects, self.places)
-        return {name: np.where(np.isfinite(value), value, np.inf) for name, value in found.items()}
+            qualities[DIAGNOSIS] = smallest_sizes(reduced.information, parameters, self.effects, self.places)
+        return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
     def values(self, reduced: Reduced, parameters: int) -> Floats:
         """(B,): the weighted geometric mean."""
-        found = self.qualities(reduced, parameters)
-        total = sum(self.weights[name] for name in found)
-        logs = [self.weights[name] / total * np.log(value) for name, value in found.items()]
+        qualities = self.qualities(reduced, parameters)
+        total = sum(self.weights[name] for name in qualities)
+        logs = [self.weights[name] / total * np.log(value) for name, value in qualities.items()]
         return np.exp(np.sum(logs, axis=0))
 
     def _instrument(self, information: Floats) -> Floats:
@@ -106,16 +106,18 @@ def smallest_sizes(
 ) -> Floats:
     """Geometric mean (B,) over effects' parameters of minimal detectable over plausible size."""
     sought = {**Counter(effect.name for effect in effects), **(places or {})}
-    own = information[:, :parameters, :parameters]
+    parameter_block = information[:, :parameters, :parameters]
     value = np.full(len(information), np.inf)
     good = np.isfinite(information).all(axis=(1, 2))
     if not good.any():
         return value
     carry = information[good, :parameters, parameters:]
-    left = information[good, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(own[good], carry)
+    effect_block = information[good, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(
+        parameter_block[good], carry
+    )
     needed = np.concatenate(
         [[search_noncentrality(len(e.parameters), sought[e.name])] * len(e.parameters) for e in effects]
     )
-    strength = np.maximum(np.einsum("bii->bi", left), 1e-12)
+    strength = np.maximum(np.einsum("bii->bi", effect_block), 1e-12)
     value[good] = np.exp(0.5 * np.mean(np.log(needed / strength), axis=1))
     return value

@@ -10,7 +10,7 @@ from pathlib import Path
 from ltsim.adjustment.remedies.detectability import detectability
 from ltsim.core.results import Columns, Result, Table
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.files import SCENARIO, plan_file, planned_scenario, visibility_table, with_cad_beside, work_table
+from ltsim.planning.files import SCENARIO, plan_file, planned_scenario, visibility_table, with_cad_copied, work_table
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.result import PlanResult
 from ltsim.recordings.result_file import write_result
@@ -45,6 +45,6 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
         return content
     tables = [content.table(name) for name in content._tables()]
     tables += [visibility_table(plan.chosen), work_table(plan)]
-    scenario, cad = with_cad_beside(planned_scenario(plan))
+    scenario, cad = with_cad_copied(planned_scenario(plan))
     texts = {table.file: table.csv() for table in tables} | {SCENARIO: scenario_to_toml(scenario)}
     return write_result(folder, content, {**texts, **cad, **(pictures or {})})

@@ -8,15 +8,15 @@ from ltsim.core.arrays import Bools
 from ltsim.core.errors import NetworkError
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
-from ltsim.planning.fast import Reducer
+from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
 from ltsim.planning.reflectors import Changes, reflector_changes
 from ltsim.planning.rules import BrokenRule
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, Kept, PlanVerdict, every_loss, judged, verdict
+from ltsim.planning.tolerances import PlanVerdict, ToleranceCheck, Tolerances, every_loss, judged, verdict
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.recordings.setup import Target
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
@@ -25,7 +25,7 @@ from ltsim.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Option(ValueEquality):
+class TradeoffPoint(ValueEquality):
     """One point of the curve: a way of working, the best layout found for it, what it costs and what it is worth."""
 
     survey: Survey
@@ -42,7 +42,7 @@ class Option(ValueEquality):
 
 
 @dataclass(frozen=True)
-class Evaluated(ValueEquality):
+class LayoutEvaluation(ValueEquality):
     """A layout with everything that is known of it before measuring."""
 
     survey: Survey
@@ -58,13 +58,13 @@ class Evaluated(ValueEquality):
 
 
 @dataclass(frozen=True)
-class Tried:
+class StationCountResult:
     """Outcome of the searches for one number of stations."""
 
     stations: int
     ratio: float | None
     """Largest error over its tolerance in the best of them; None without any."""
-    found: bool
+    has_layout: bool
     """Some layout keeps points in sight."""
     lacking: str = ""
     """Points that the nearest layout does not see, in words."""
@@ -76,24 +76,24 @@ class PlannedNetwork(ValueEquality):
 
     file: PlanFile
     scenario: Scenario
-    site: Site
+    site: SearchSpace
     """Site for the chosen way of working."""
-    reference: Evaluated | None
+    reference: LayoutEvaluation | None
     """The scenario's own layout, worked in the chosen way; None where it determines nothing."""
-    chosen: Evaluated
+    chosen: LayoutEvaluation
     changes: Changes
     """Single reflectors of the chosen layout moved, added, left out."""
-    demands: Demands
+    demands: Tolerances
     """Tolerances of points."""
-    kept: Kept | None = None
+    check: ToleranceCheck | None = None
     """Chosen layout against the tolerances; None without any."""
-    losses: tuple[Kept, ...] = ()
+    losses: tuple[ToleranceCheck, ...] = ()
     """The layout against the tolerances without each station, then without each sight of a point with a tolerance."""
-    options: tuple[Option, ...] = ()
+    options: tuple[TradeoffPoint, ...] = ()
     """The curve, cheapest first."""
     spread: tuple[float, ...] = ()
     """Values that the starts of the chosen way ended at, best first."""
-    tried: tuple[Tried, ...] = ()
+    tried: tuple[StationCountResult, ...] = ()
     """Outcome for each number of stations, where the fewest are searched for."""
     stopped: bool = False
     """True where somebody ended the search."""
@@ -101,14 +101,14 @@ class PlannedNetwork(ValueEquality):
     @property
     def verdict(self) -> PlanVerdict | None:
         """The layout against the plan's rules and tolerances; None without tolerances."""
-        if self.kept is None:
+        if self.check is None:
             return None
-        return verdict(self.demands, self.kept, self.losses, self.chosen.broken)
+        return verdict(self.demands, self.check, self.losses, self.chosen.broken)
 
 
 def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
     """The plan of a layout as it is, without a search."""
-    built, demands = planned_construction(scenario), Demands.of(file)
+    built, demands = planned_construction(scenario), Tolerances.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
     objective = objective_of(file, survey)
     return PlannedNetwork(
@@ -118,7 +118,7 @@ def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
         reference=_reference(file, scenario, site, built, survey),
         chosen=evaluated(site, survey, objective, built),
         demands=demands,
-        kept=judged(survey, demands, built) if demands else None,
+        check=judged(survey, demands, built) if demands else None,
         losses=every_loss(survey, demands, built),
         changes=reflector_changes(site, survey, fixed_of(file, scenario, survey), objective, built),
     )
@@ -126,10 +126,10 @@ def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
 
 def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[float, dict[str, float]]:
     """Objective and qualities of a survey as it is."""
-    reducer = Reducer(survey, built, objective.effects)
+    reducer = LayoutScorer(survey, built, objective.effects)
     slots = np.arange(len(survey.position))
     reduced = reducer.reduce(
-        reducer.blocks(survey.position, survey.yaw, slots, survey.seen), slots[None], targets=objective.wants_targets
+        reducer.blocks(survey.position, survey.yaw, slots, survey.visible), slots[None], targets=objective.wants_targets
     )
     if survey.air is not None and objective.wants_targets:  # the search knows no more of the air than its scatter
         rms = LayoutInformation.of(survey, built).target_rms if np.isfinite(reduced.target_rms[0]) else np.nan
@@ -139,34 +139,34 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
     return value, {name: float(quality[0]) for name, quality in qualities.items()}
 
 
-def evaluated(site: Site, survey: Survey, objective: Objective, built: Construction) -> Evaluated:
+def evaluated(site: SearchSpace, survey: Survey, objective: Objective, built: Construction) -> LayoutEvaluation:
     """Everything that is known of a layout before measuring; NetworkError where poses or targets stay open."""
     table = sight_table(site, survey)
-    survey = survey.replace(seen=table.visible)
+    survey = survey.replace(visible=table.visible)
     information = LayoutInformation.of(with_aimed_nests(site, survey), built)
     broken = site.broken_rules(survey)
     value, qualities = measure(survey, objective, built)
-    compared = survey.is_whole and survey.seen.all() and len(survey.position) > 1
+    compared = survey.is_whole and survey.visible.all() and len(survey.position) > 1
     expected = Predictor.of(information).expected() if compared else None
-    return Evaluated(survey, np.inf if broken else value, qualities, information, table, expected, broken)
+    return LayoutEvaluation(survey, np.inf if broken else value, qualities, information, table, expected, broken)
 
 
-def sight_table(site: Site, survey: Survey) -> Visibility:
-    """Who sees whom, with fixed nests aimed at the layout's stations; reflectors of its own choice are in such too."""
+def sight_table(site: SearchSpace, survey: Survey) -> Visibility:
+    """Sights between stations and targets, with fixed nests, those of chosen reflectors too, aimed at the stations."""
     normal, aimed = aimed_normals(survey.position, survey.points)[0], _aimed(site, survey)
     return visibility(
         survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles
     )
 
 
-def _aimed(site: Site, survey: Survey) -> Bools:
+def _aimed(site: SearchSpace, survey: Survey) -> Bools:
     """(T,): targets of a survey in fixed nests that are aimed at its stations."""
     aimed = np.full(len(survey.points), bool(site.aimed.any()))
     aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
     return aimed
 
 
-def with_aimed_nests(site: Site, survey: Survey) -> Survey:
+def with_aimed_nests(site: SearchSpace, survey: Survey) -> Survey:
     """The survey whose set-up says how its fixed nests are aimed at its stations."""
     targets, normals = dict(survey.setup.targets), aimed_normals(survey.position, survey.points)[0]
     for at in np.flatnonzero(_aimed(site, survey)).tolist():
@@ -176,15 +176,24 @@ def with_aimed_nests(site: Site, survey: Survey) -> Survey:
     return survey.replace(setup=survey.setup.model_copy(update={"targets": targets}))
 
 
-def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Construction, way: Survey) -> Evaluated | None:
+def _reference(
+    file: PlanFile, scenario: Scenario, site: SearchSpace, built: Construction, way: Survey
+) -> LayoutEvaluation | None:
     """The scenario's own layout, worked in the same way; none in a hall that the plan itself describes."""
     if file.workshop is not None:
         return None
     work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")
-    own = survey_of(scenario).replace(**{name: getattr(way, name) for name in work})
-    count = len(own.position)
-    least = count if file.stations.seen_from == "all" else min(file.stations.seen_from, count)
+    reference = survey_of(scenario).replace(**{name: getattr(way, name) for name in work})
+    count = len(reference.position)
+    least = (
+        count if file.stations.min_stations_per_target == "all" else min(file.stations.min_stations_per_target, count)
+    )
     try:
-        return evaluated(site.replace(survey=own, least=least, play=0.0), own, objective_of(file, own), built)
+        return evaluated(
+            site.replace(survey=reference, min_sights=least, position_tolerance=0.0),
+            reference,
+            objective_of(file, reference),
+            built,
+        )
     except NetworkError:
         return None

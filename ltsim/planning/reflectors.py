@@ -15,16 +15,16 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import Construction
-from ltsim.planning.fast import Reduced, Reducer
+from ltsim.planning.fast import LayoutScorer, Reduced
 from ltsim.planning.objective import LEAST_IMPROVEMENT, TARGETS, Objective
 from ltsim.planning.schema import PlanChange, in_millimetres
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import Survey
 from ltsim.scene.visibility import aimed_normals
 
 SWEEPS = 8
 """Rounds of exchanges at most."""
-TAKEN = 1e-3
+SAME_PLACE = 1e-3
 """[m] within which a place is a reflector's own."""
 
 
@@ -32,7 +32,7 @@ TAKEN = 1e-3
 class PlaceTable:
     """Terms of the normal matrix of poses, gauge and parameters, for given stations."""
 
-    reducer: Reducer
+    reducer: LayoutScorer
     base: Floats
     """(K, K): targets that stay, known lengths, priors, datum."""
     terms: Floats
@@ -45,26 +45,26 @@ class PlaceTable:
     """(E, 3, K): of the same targets."""
 
     @classmethod
-    def of(cls, survey: Survey, stays: Bools, places: Floats, seen: Bools, reducer: Reducer) -> PlaceTable:
+    def of(cls, survey: Survey, stays: Bools, places: Floats, visible: Bools, reducer: LayoutScorer) -> PlaceTable:
         """Terms of `places`; `reducer` has the staying targets first, then the places; `seen` (S, targets)."""
-        count, kept = len(survey.position), int(stays.sum())
+        count, staying = len(survey.position), int(stays.sum())
         slots = np.arange(count)
-        only = seen.copy()
-        only[:, kept:] = False
+        only = visible.copy()
+        only[:, staying:] = False
         alone = reducer.blocks(survey.position, survey.yaw, slots, only)
         base, length = (block[0] for block in reducer.eliminated(alone, slots[None])[:2])
-        t, x = (part[:, kept:] for part in reducer.rows(survey.position, survey.yaw, slots, seen))
+        t, x = (part[:, staying:] for part in reducer.rows(survey.position, survey.yaw, slots, visible))
         rows: Floats = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
             rows[:, s, :, 6 * s : 6 * s + 6] = x[s, ..., :6]
             rows[:, s, :, len(base) - x.shape[3] + 6 :] = x[s, ..., 6:]
         rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
-        left = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        whole = reducer.blocks(survey.position, survey.yaw, slots, seen)
+        projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
+        whole = reducer.blocks(survey.position, survey.yaw, slots, visible)
         _, _, inverse, weights = reducer.eliminated(whole, slots[None])
         length = length + np.sum(rows**2, axis=(0, 1))
-        return cls(reducer, base, np.swapaxes(left, 1, 2) @ left, length, inverse[0], weights[0])
+        return cls(reducer, base, np.swapaxes(projected, 1, 2) @ projected, length, inverse[0], weights[0])
 
     def total(self, chosen: Ints) -> Floats:
         """Normal matrix (K, K) with reflectors at the chosen places."""
@@ -95,13 +95,13 @@ class PlaceTable:
     def values(self, totals: Floats, chosen: Ints, objective: Objective) -> Floats:
         """Objective (B,) of normal matrices (B, K, K) with reflectors at the places `chosen` (B, n)."""
         information = self.information(totals)
-        rms, known = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
+        rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.wants_targets:
-            rms[known] = self.target_rms(totals[known], chosen[known])
+            rms[determined] = self.target_rms(totals[determined], chosen[determined])
         return objective.values(Reduced(information, rms), self.reducer.construction.size)
 
 
-def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str, ...], seen: Bools) -> Survey:
+def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str, ...], visible: Bools) -> Survey:
     """The survey with the staying targets and reflectors at `places`."""
     keep = np.flatnonzero(stays)
     count = len(keep) + len(places)
@@ -109,7 +109,7 @@ def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str,
     return survey.replace(
         target_names=(*(survey.target_names[k] for k in keep), *names),
         points=np.concatenate([survey.points[keep], places]),
-        seen=seen,
+        visible=visible,
         rank=rank,
     )
 
@@ -121,34 +121,36 @@ class Movable:
     places: Floats
     """(P, 3) [m]."""
     names: tuple[str, ...]
-    own: int
+    n_present: int
     """Number of places that are the present ones of reflectors."""
-    seen: Bools
+    visible: Bools
     """(S, k + P): of the k targets that stay, then the places."""
     table: PlaceTable
 
     @classmethod
-    def of(cls, site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction) -> Movable:
+    def of(
+        cls, site: SearchSpace, survey: Survey, stays: Bools, objective: Objective, construction: Construction
+    ) -> Movable:
         """The places that are in sight; `stays` (T,) are targets that are no matter of choice."""
         offered = np.zeros((0, 3)) if site.nests is None else site.nests
         places = np.concatenate([survey.points[~stays], offered])
-        own = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
+        present = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
         good = _usable(site, survey, places)
-        good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], offered, TAKEN)]
-        good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[stays], offered, site.reflector_spacing)]
-        names = tuple(n for n, g in zip((*own, *site.nest_names), good, strict=True) if g)
+        good &= ~np.r_[np.zeros(len(present), bool), _taken(survey.points[~stays], offered, SAME_PLACE)]
+        good &= ~np.r_[np.zeros(len(present), bool), _taken(survey.points[stays], offered, site.reflector_spacing)]
+        names = tuple(n for n, g in zip((*present, *site.nest_names), good, strict=True) if g)
         places = places[good]
-        seen = site.seen(survey.position, np.concatenate([survey.points[stays], places]))
+        visible = site.visible(survey.position, np.concatenate([survey.points[stays], places]))
         # What stands already is seen as it is, only new places must be seen with some play.
-        now = np.concatenate([survey.seen[:, stays], survey.seen[:, ~stays][:, good[: len(own)]]], axis=1)
-        seen[:, : now.shape[1]] = now
-        wide = with_targets(survey, stays, places, names, np.ones_like(seen))
-        table = PlaceTable.of(survey, stays, places, seen, Reducer(wide, construction, objective.effects))
-        return cls(places, names, int(good[: len(own)].sum()), seen, table)
+        now = np.concatenate([survey.visible[:, stays], survey.visible[:, ~stays][:, good[: len(present)]]], axis=1)
+        visible[:, : now.shape[1]] = now
+        wide = with_targets(survey, stays, places, names, np.ones_like(visible))
+        table = PlaceTable.of(survey, stays, places, visible, LayoutScorer(wide, construction, objective.effects))
+        return cls(places, names, int(good[: len(present)].sum()), visible, table)
 
 
 def choose_reflectors(
-    site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction
+    site: SearchSpace, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Survey:
     """The survey with its movable reflectors (not `stays` (T,)) at the best of the site's places and their own.
 
@@ -163,15 +165,17 @@ def choose_reflectors(
             f"only {len(places)} places for reflectors are in sight of the stations, {wanted} are wanted; "
             "add places or ask for fewer"
         )
-    start = _start(places, np.arange(len(places)) < choice.own, wanted, site.reflector_spacing)
+    start = _start(places, np.arange(len(places)) < choice.n_present, wanted, site.reflector_spacing)
     chosen = _exchange(choice.table, objective, places, start, site.reflector_spacing)
-    kept = np.r_[0 : stays.sum(), stays.sum() + chosen]
-    return with_targets(survey, stays, places[chosen], tuple(choice.names[i] for i in chosen), choice.seen[:, kept])
+    columns = np.r_[0 : stays.sum(), stays.sum() + chosen]
+    return with_targets(
+        survey, stays, places[chosen], tuple(choice.names[i] for i in chosen), choice.visible[:, columns]
+    )
 
 
-def _usable(site: Site, survey: Survey, places: Floats) -> Bools:
+def _usable(site: SearchSpace, survey: Survey, places: Floats) -> Bools:
     """(P,): seen from enough stations; a fixed nest there can be aimed at all of them."""
-    good: Bools = site.seen(survey.position, places).sum(axis=0) >= min(site.least, len(survey.position))
+    good: Bools = site.visible(survey.position, places).sum(axis=0) >= min(site.min_sights, len(survey.position))
     if site.aimed.any():
         good &= aimed_normals(survey.position, places)[1] <= site.limits.acceptance
     return good
@@ -183,9 +187,9 @@ def _taken(points: Floats, places: Floats, within: float) -> Bools:
     return np.asarray((gap < within).any(axis=1))
 
 
-def _start(places: Floats, own: Bools, wanted: int, spacing: float) -> Ints:
+def _start(places: Floats, present: Bools, wanted: int, spacing: float) -> Ints:
     """Indices (wanted,): the reflectors' present places, filled up by those far from all others."""
-    chosen: list[int] = np.flatnonzero(own).tolist()
+    chosen: list[int] = np.flatnonzero(present).tolist()
     while len(chosen) < wanted:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
         best = int(np.argmax(gap))
@@ -222,14 +226,14 @@ def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: I
 
 MATERIAL = 0.002
 """Least improvement of the quality, relative, from which on a change is reported."""
-NOTHING = 5e-4
+NEGLIGIBLE = 5e-4
 """Change of the quality, relative, that is none."""
-SHOWN = 3
+MOST_REPORTED = 3
 """Number of changes of each sort that are reported."""
 
-What = Literal["move", "add", "remove"]
-SORTS: tuple[What, ...] = get_args(What)
-Tried = tuple[float, int | None, int | None, Floats]
+ChangeKind = Literal["move", "add", "remove"]
+CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
+RankedChange = tuple[float, int | None, int | None, Floats]
 """Factor on the quality, which reflector leaves, which place is taken, the normal matrix then."""
 
 
@@ -237,11 +241,11 @@ Tried = tuple[float, int | None, int | None, Floats]
 class Changes:
     """All single changes that were tried."""
 
-    told: tuple[PlanChange, ...]
+    reported: tuple[PlanChange, ...]
     """Moves and additions that help, the best first, then what can be left out at the least cost."""
-    tried: dict[What, int]
+    tried: dict[ChangeKind, int]
     """Number of changes tried, by sort."""
-    helped: dict[What, int]
+    helped: dict[ChangeKind, int]
     """Number of changes that improve the quality by more than `MATERIAL`, by sort."""
 
     @property
@@ -260,11 +264,11 @@ class Changes:
 
 
 def reflector_changes(
-    site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction
+    site: SearchSpace, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Changes:
     """Try every move, addition and removal of one reflector, but of those that stay (T,); places are the site's."""
     if stays.all() and site.nests is None:
-        return Changes((), dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0))
+        return Changes((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
     return _Trial(Movable.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
 
 
@@ -273,7 +277,7 @@ class _Trial:
 
     def __init__(self, choice: Movable, objective: Objective, spacing: float) -> None:
         self.choice, self.table, self.objective = choice, choice.table, objective
-        self.chosen = np.arange(choice.own)
+        self.chosen = np.arange(choice.n_present)
         self.total = self.table.total(self.chosen)
         self.now = self.table.values(self.total[None], self.chosen[None], objective)[0]
         self.sigma = self._sigma(self.total)
@@ -306,10 +310,10 @@ class _Trial:
     def changes(self) -> Changes:
         """All single changes."""
         terms, chosen = self.table.terms, self.chosen
-        found: dict[What, list[Tried]] = {what: [] for what in SORTS}
-        tried, helped = dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0)
+        candidates: dict[ChangeKind, list[RankedChange]] = {what: [] for what in CHANGE_KINDS}
+        tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
-        def note(what: What, taken: int | None, places: Ints) -> None:
+        def note(what: ChangeKind, taken: int | None, places: Ints) -> None:
             """One reflector away, one at each of some places instead; of its moves only the best is kept."""
             others = chosen if taken is None else np.delete(chosen, taken)
             start = self.total if taken is None else self.total - terms[chosen[taken]]
@@ -324,19 +328,21 @@ class _Trial:
             helped[what] += int(np.sum(values < 1 - MATERIAL))
             for k in np.argsort(values)[: 1 if what == "move" else None].tolist():
                 place = None if what == "remove" else int(places[k])
-                found[what].append((float(values[k]), taken, place, totals[k]))
+                candidates[what].append((float(values[k]), taken, place, totals[k]))
 
         for i in range(len(chosen)):
             note("move", i, self._free(np.delete(chosen, i)))
             note("remove", i, chosen[:0])
         note("add", None, self._free(chosen))
-        told: list[PlanChange] = []
-        for what, made in found.items():
-            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:SHOWN]
-            told += [self._change(what, *one) for one in best if what == "remove" or one[0] < 1 - MATERIAL]
-        return Changes(tuple(told), tried, helped)
+        reported: list[PlanChange] = []
+        for what, made in candidates.items():
+            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:MOST_REPORTED]
+            reported += [self._change(what, *change) for change in best if what == "remove" or change[0] < 1 - MATERIAL]
+        return Changes(tuple(reported), tried, helped)
 
-    def _change(self, what: What, value: float, taken: int | None, place: int | None, total: Floats) -> PlanChange:
+    def _change(
+        self, what: ChangeKind, value: float, taken: int | None, place: int | None, total: Floats
+    ) -> PlanChange:
         common = self.chosen if taken is None else np.delete(self.chosen, taken)
         before, after = self.table.target_rms(np.stack([self.total, total]), common)
         if self._of_targets:
@@ -362,7 +368,7 @@ class _Trial:
 
 def _words(change: PlanChange) -> str:
     """Change and its benefit, as a sentence without a full stop."""
-    if abs(1 - change.quality) < NOTHING:
+    if abs(1 - change.quality) < NEGLIGIBLE:
         return f"{change.deed}: makes no difference"
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
@@ -371,11 +377,11 @@ def _words(change: PlanChange) -> str:
     return f"{change.deed}: quality {better}, {other}, {most} {change.serves} (sigma {sigma:+.1f} %)"
 
 
-def _at_different_places(best: list[Tried]) -> list[Tried]:
+def _at_different_places(best: list[RankedChange]) -> list[RankedChange]:
     """The first for each place; all that take none."""
-    kept, places = [], set()
-    for one in best:
-        if one[2] is None or one[2] not in places:
-            kept.append(one)
-        places.add(one[2])
-    return kept
+    distinct, places = [], set()
+    for change in best:
+        if change[2] is None or change[2] not in places:
+            distinct.append(change)
+        places.add(change[2])
+    return distinct

@@ -8,7 +8,7 @@ from pydantic import Field
 from ltsim.core.results import Result, Table
 from ltsim.planning import tables
 from ltsim.planning.schema import (
-    AlikeEntry,
+    ConfusablePair,
     DetectableSize,
     LayoutEntry,
     LossEntry,
@@ -51,7 +51,7 @@ class PlanResult(ResultFile, LayoutEntry, Result):
     reached: bool | None = None
     """The goal is reached: no rule is broken and tolerances are kept, after any one loss too where that is asked for;
     null without any."""
-    tolerances_kept: bool | None = None
+    tolerances_met: bool | None = None
     """All points keep their tolerances while nothing is lost; null without any."""
     losses: tuple[LossEntry, ...] = ()
     """Tolerances after the loss of each station, and of each sight of a point with a tolerance."""
@@ -61,7 +61,7 @@ class PlanResult(ResultFile, LayoutEntry, Result):
     """Root of the search."""
     detectable: tuple[DetectableSize, ...] = ()
     """Minimal detectable sizes of effects."""
-    alike: tuple[AlikeEntry, ...] = ()
+    confusable: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that the layout cannot distinguish."""
     silent: tuple[str, ...] = ()
     """Effects that leave no trace in the residuals."""
@@ -82,40 +82,38 @@ class PlanResult(ResultFile, LayoutEntry, Result):
             "expected": self._expected,
             "changes": self._changes,
             "effects": lambda: tables.EFFECTS.filled(self.detectable),
-            "alike": lambda: tables.ALIKE.filled(self.alike),
+            "confusable": lambda: tables.CONFUSABLE.filled(self.confusable),
             "nominals": lambda: tables.NOMINALS.filled([r.name, *r.position_mm] for r in self.reflectors),
         }
 
     def _stations(self) -> Table:
         return tables.STATIONS.filled(
-            [s.name, *s.position_mm, s.yaw_deg, *(s.sigma_position_um or 3 * (None,)), s.reflectors_seen]
+            [s.name, *s.position_mm, s.yaw_deg, *(s.sigma_position_um or 3 * (None,)), s.visible_reflectors]
             for s in self.stations
         )
 
     def _reflectors(self) -> Table:
         return tables.REFLECTORS.filled(
             [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
-             " ".join(r.seen_from)]
+             " ".join(r.visible_from)]
             for r in self.reflectors
         )  # fmt: skip
 
     def _tolerances(self) -> Table:
         return tables.TOLERANCES.filled(
-            [r.name, r.within_mm, r.tolerance_mm, percent(r.used), r.kept]
-            for r in self.reflectors
-            if r.used is not None
+            [r.name, r.within_mm, r.tolerance_mm, percent(r.used), r.met] for r in self.reflectors if r.used is not None
         )
 
     def _losses(self) -> Table:
         return tables.LOSSES.filled(
-            [loss.lost, loss.kept, loss.worst, "" if loss.ratio is None else percent(loss.ratio), " ".join(loss.unseen)]
-            for loss in sorted(self.losses, key=lambda loss: loss.kept)
+            [loss.lost, loss.met, loss.worst, "" if loss.ratio is None else percent(loss.ratio), " ".join(loss.unseen)]
+            for loss in sorted(self.losses, key=lambda loss: loss.met)
         )
 
     def _parameters(self) -> Table:
-        own = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
+        reference = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
         return tables.PARAMETERS.filled(
-            [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
+            [p.name, p.unit, p.sigma, reference.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
         )
 
     def _expected(self) -> Table:

@@ -39,11 +39,11 @@ def too_near(position: Floats, spacing: float) -> Bools:
     return np.asarray(np.triu(gap <= spacing - SLACK, 1))
 
 
-def short_of_sights(seen: Bools, least: int) -> Bools:
+def short_of_sights(visible: Bools, least: int) -> Bools:
     """(B, T): targets that fewer than `least` stations see; `seen` is (B, S, T)."""
-    return np.asarray(seen.sum(axis=1) < least)
+    return np.asarray(visible.sum(axis=1) < least)
 
 
-def short_of_targets(seen: Bools) -> Bools:
+def short_of_targets(visible: Bools) -> Bools:
     """(B, S): stations that see fewer than `FEWEST` targets; `seen` is (B, S, T)."""
-    return np.asarray(seen.sum(axis=2) < FEWEST)
+    return np.asarray(visible.sum(axis=2) < FEWEST)

@@ -29,7 +29,7 @@ class StationEntry(Entry):
     """Direction of azimuth zero, counter-clockwise from x."""
     sigma_position_um: tuple[Known, ...] = ()
     """Expected standard deviation of x, y and z."""
-    reflectors_seen: int = 0
+    visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
 
 
@@ -46,7 +46,7 @@ class ReflectorEntry(Entry):
     """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
-    seen_from: tuple[str, ...] = ()
+    visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
     within_mm: Known = None
     """Distance that the point error does not exceed at the confidence level of the goal; of points with a tolerance."""
@@ -54,7 +54,7 @@ class ReflectorEntry(Entry):
     """Tolerance of the point error."""
     used: Known = None
     """Point error over its tolerance: `within_mm` / `tolerance_mm`; 1 at the limit."""
-    kept: bool | None = None
+    met: bool | None = None
     """True where the tolerance is kept; null without any."""
 
 
@@ -114,7 +114,7 @@ class LayoutEntry(WorkEntry):
     """Undetermined combinations of instrument parameters."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """Expected improvement, by the paper's criteria."""
-    not_seen: tuple[str, ...] = ()
+    blocked_sights: tuple[str, ...] = ()
     """Sights that are not possible: station, reflector and reason, a sentence each."""
 
 
@@ -154,7 +154,7 @@ class DetectableSize(Entry):
     """Median share of the effect's signature that remains in the residuals."""
 
 
-class AlikeEntry(Entry):
+class ConfusablePair(Entry):
     """Two effects that a layout can hardly distinguish; `share` of the first's signature is explained by the second."""
 
     effect: str
@@ -202,7 +202,7 @@ class LossEntry(Entry):
 
     lost: str
     """Lost station or sight, in words."""
-    kept: bool
+    met: bool
     """True where all tolerances hold after the loss."""
     ratio: Known = None
     """Largest point error over its tolerance; null where a point is no longer determined."""
@@ -229,7 +229,7 @@ class ProposalEntry(Entry):
     """Factor on the standard deviation of that parameter; below 1 is better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
     """Expected difference of chi-square between the first explanation and each other one, by name."""
-    tells_apart: tuple[str, ...] = ()
+    distinguishes: tuple[str, ...] = ()
     """Explanations that the measurement would distinguish from the first."""
     decides: bool = False
     """True where it would distinguish all of them from the first."""

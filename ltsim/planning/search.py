@@ -16,9 +16,9 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import Construction, misalignment
-from ltsim.planning.fast import Reducer, StationBlocks
+from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
-from ltsim.planning.site import Placement, Site
+from ltsim.planning.site import Placement, SearchSpace
 
 CHUNK = 64
 SWEEPS = 12
@@ -45,7 +45,7 @@ class PlannedLayout:
 class LayoutSearcher:
     """Search on one site for one objective."""
 
-    site: Site
+    site: SearchSpace
     objective: Objective = field(default_factory=Objective)
     construction: Construction = field(default_factory=misalignment)
     step: float = 0.5
@@ -54,40 +54,40 @@ class LayoutSearcher:
     heights: int = 2
     """Turns and heights tried at each place of the grid."""
     tell: Callable[[float], None] = quiet
-    """Hears the share of a start that is done."""
+    """Callback for the share of a start that is done."""
     keep: Callable[[PlannedLayout], None] = quiet
     """Callback for each better layout."""
 
     def __post_init__(self) -> None:
-        self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
+        self.reducer = LayoutScorer(self.site.survey, self.construction, self.objective.effects)
         self.stations = self.reducer.stations
         self._free = [s for s in range(self.stations) if s not in self.site.fixed]
-        self._tables: dict[int, StationBlocks] = {}
+        self._tables: dict[int, NormalBlocks] = {}
         self._steps = 0
 
-    def pool(self, position: Floats, yaw: Floats, slot: int, seen: Bools | None = None) -> StationBlocks:
+    def pool(self, position: Floats, yaw: Floats, slot: int, visible: Bools | None = None) -> NormalBlocks:
         """Set-ups that stand for station `slot`; who is `seen` (N, T) is looked up where it is not given."""
-        seen, parts = self.site.seen(position) if seen is None else seen, []
+        visible, parts = self.site.visible(position) if visible is None else visible, []
         for a in range(0, len(position), CHUNK):
-            some = slice(a, a + CHUNK)
-            slots = np.full(len(position[some]), slot, dtype=np.int64)
-            parts.append(self.reducer.blocks(position[some], yaw[some], slots, seen[some]))
+            chunk = slice(a, a + CHUNK)
+            slots = np.full(len(position[chunk]), slot, dtype=np.int64)
+            parts.append(self.reducer.blocks(position[chunk], yaw[chunk], slots, visible[chunk]))
             self._step()
-        return StationBlocks.joined(parts)
+        return NormalBlocks.concatenated(parts)
 
-    def table(self, slot: int) -> StationBlocks:
+    def table(self, slot: int) -> NormalBlocks:
         """The grid of candidate set-ups; it depends on the slot only where effects know the time."""
         key = slot if self.objective.effects else 0
         if key not in self._tables:
-            places, seen = self.placement.position, self.placement.seen
-            whole = self.site.least >= self.stations
-            good = seen.all(axis=1) if whole else np.ones(len(seen), dtype=bool)
+            places, visible = self.placement.position, self.placement.visible
+            whole = self.site.min_sights >= self.stations
+            good = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
             if not good.any():
                 raise SetupError(self._nowhere())
             turns = np.arange(self.yaws) * (2 * np.pi / self.yaws)
             position: Floats = np.repeat(places[good], self.yaws, axis=0)
             yaw = np.tile(turns, int(good.sum()))
-            self._tables[key] = self.pool(position, yaw, key, np.repeat(seen[good], self.yaws, axis=0))
+            self._tables[key] = self.pool(position, yaw, key, np.repeat(visible[good], self.yaws, axis=0))
         return self._tables[key]
 
     @cached_property
@@ -97,57 +97,57 @@ class LayoutSearcher:
 
     def _nowhere(self) -> str:
         """A sentence: which targets cannot be seen from everywhere, or from anywhere."""
-        share = self.placement.seen.mean(axis=0)
+        share = self.placement.visible.mean(axis=0)
         if not share.all():
             return self.site.out_of_sight(np.flatnonzero(share == 0))
         worst = self.site.survey.target_names[int(np.argmin(share))]
         return (
-            f"no place on the floor sees every reflector: {worst} is seen from {100 * share.min():.0f} % of the "
-            "places; move it, widen the floor, or ask for fewer stations a reflector"
+            f"no place on the floor sees every reflector: {worst} is visible from {100 * share.min():.0f} % of the "
+            "places; move it, widen the floor, or set a smaller stations.min_stations_per_target"
         )
 
-    def layout(self, position: Floats, yaw: Floats) -> StationBlocks:
+    def layout(self, position: Floats, yaw: Floats) -> NormalBlocks:
         """The stations of a layout (S, 3), (S,), each as the one that it is."""
-        return StationBlocks.joined([self.pool(position[[s]], yaw[[s]], s) for s in range(self.stations)])
+        return NormalBlocks.concatenated([self.pool(position[[s]], yaw[[s]], s) for s in range(self.stations)])
 
     def evaluate(self, position: Floats, yaw: Floats) -> PlannedLayout:
         """A layout as it is."""
         here = self.layout(position, yaw)
-        good = self.site.allowed(position).all() and self.site.joined(position[None], here.seen[None])[0]
+        good = self.site.allowed(position).all() and self.site.feasible(position[None], here.visible[None])[0]
         return PlannedLayout(position, yaw, self._value(here) if good else np.inf)
 
-    def _value(self, layout: StationBlocks) -> float:
+    def _value(self, layout: NormalBlocks) -> float:
         return float(self._values(layout, np.arange(self.stations)[None])[0])
 
-    def _values(self, blocks: StationBlocks, chosen: Ints) -> Floats:
+    def _values(self, blocks: NormalBlocks, chosen: Ints) -> Floats:
         """Objective (B,) of layouts; `chosen` (B, S) are indices into `blocks`."""
-        found = [
+        values = [
             self.objective.values(
                 self.reducer.reduce(blocks, chosen[a : a + CHUNK], targets=self.objective.wants_targets),
                 self.construction.size,
             )
             for a in range(0, len(chosen), CHUNK)
         ]
-        return np.concatenate(found) if found else np.zeros(0)
+        return np.concatenate(values) if values else np.zeros(0)
 
     def _step(self) -> None:
-        """A word to whoever watches."""
+        """Report progress to the listener."""
         self._steps += 1
         self.tell(1.0 - PACE**self._steps)
 
     def replacements(
-        self, layout: StationBlocks, slot: int, candidates: StationBlocks, *, anywhere: bool = False
+        self, layout: NormalBlocks, slot: int, candidates: NormalBlocks, *, anywhere: bool = False
     ) -> Floats:
         """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
-        count, (position, seen) = len(candidates.position), _with_each(layout, slot, candidates)
-        good = np.arange(count) if anywhere else np.flatnonzero(self.site.joined(position, seen))
+        count, (position, visible) = len(candidates.position), _with_each(layout, slot, candidates)
+        good = np.arange(count) if anywhere else np.flatnonzero(self.site.feasible(position, visible))
         values = np.full(count, np.inf)
         chosen = np.tile(np.arange(self.stations), (len(good), 1))
         chosen[:, slot] = self.stations + good
-        values[good] = self._values(StationBlocks.joined([layout, candidates]), chosen)
+        values[good] = self._values(NormalBlocks.concatenated([layout, candidates]), chosen)
         return values
 
-    def best_replacement(self, layout: StationBlocks, slot: int, candidates: StationBlocks) -> tuple[int, float]:
+    def best_replacement(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> tuple[int, float]:
         """The candidate that serves best as station `slot`, and the value; infinite where none may."""
         self._step()
         values = self.replacements(layout, slot, candidates)
@@ -155,8 +155,8 @@ class LayoutSearcher:
         return best, float(values[best])
 
     def _sweep(
-        self, layout: StationBlocks, value: float, candidates: Callable[[StationBlocks, int], StationBlocks | None]
-    ) -> tuple[StationBlocks, float]:
+        self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]
+    ) -> tuple[NormalBlocks, float]:
         """Each station in turn replaced by the best of its candidates, where that is better."""
         for slot in self._free:
             offered = candidates(layout, slot)
@@ -168,7 +168,7 @@ class LayoutSearcher:
                 self.keep(PlannedLayout(layout.position, layout.yaw, value))
         return layout, value
 
-    def exchange(self, layout: StationBlocks, value: float) -> tuple[StationBlocks, float]:
+    def exchange(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
         """Replace stations by set-ups of the grid until none of them helps."""
         for _ in range(SWEEPS):
             before = value
@@ -177,11 +177,11 @@ class LayoutSearcher:
                 break
         return layout, value
 
-    def refine(self, layout: StationBlocks, value: float, rng: np.random.Generator) -> tuple[StationBlocks, float]:
+    def refine(self, layout: NormalBlocks, value: float, rng: np.random.Generator) -> tuple[NormalBlocks, float]:
         """Move stations off the grid: a pattern search with shrinking steps, along the axes and at random."""
         reach = 0.5 * self.step
 
-        def around(layout: StationBlocks, slot: int) -> StationBlocks | None:
+        def around(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
             """Set-ups near a station: x, y, height and yaw moved alone and together."""
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.step]
@@ -198,7 +198,7 @@ class LayoutSearcher:
                 reach *= 0.5
         return layout, value
 
-    def random_layout(self, rng: np.random.Generator) -> StationBlocks:
+    def random_layout(self, rng: np.random.Generator) -> NormalBlocks:
         """An allowed layout: stations placed one by one with some chance, fixed ones kept.
 
         It determines all poses and targets where a few draws give such a one. Raises SetupError where none is allowed,
@@ -207,35 +207,36 @@ class LayoutSearcher:
         survey, free, places = self.site.survey, self._free, self.placement
         tables = {slot: self.table(slot) for slot in free}
         lacking = ""
-        loose: StationBlocks | None = None
+        loose: NormalBlocks | None = None
         for _ in range(TRIES):
-            chosen = places.stations(len(free), self.site.least, rng)
-            if len(chosen) < len(free) or places.missing(chosen, self.site.least).any():
-                lacking = self.site.lacking(places, chosen) if chosen else ""
+            chosen = places.stations(len(free), self.site.min_sights, rng)
+            if len(chosen) < len(free) or places.missing(chosen, self.site.min_sights).any():
+                lacking = self.site.unseen_targets(places, chosen) if chosen else ""
                 break
             made = self.layout(survey.position, survey.yaw)
             for slot, place in zip(free, chosen, strict=True):
                 at = np.flatnonzero((tables[slot].position == places.position[place]).all(axis=1))
                 if len(at):
                     made = made.with_station(slot, tables[slot].take(rng.choice(at, size=1)))
-            if self.site.joined(made.position[None], made.seen[None])[0]:
+            if self.site.feasible(made.position[None], made.visible[None])[0]:
                 if np.isfinite(self._value(made)):
                     return made
                 loose = made
         if loose is not None:
             return loose
         raise SetupError(
-            f"no layout of {self.stations} stations was found among {len(places.position)} places that keeps "
-            f"them {self.site.spacing:g} m apart and every reflector in sight of {self.site.least}"
-            f"{f' (the nearest one lacks {lacking})' if lacking else ''}; ask for less, or widen the floor"
+            f"the search found no layout of {self.stations} stations among {len(places.position)} places that are "
+            f"{self.site.spacing:g} m apart and have every reflector in sight of {self.site.min_sights}"
+            f"{f' (the closest one lacks sights of {lacking})' if lacking else ''}; lower "
+            "stations.min_stations_per_target or stations.spacing_mm, or widen the floor"
         )
 
-    def _bound(self, layout: StationBlocks) -> StationBlocks:
+    def _bound(self, layout: NormalBlocks) -> NormalBlocks:
         """A layout with stations exchanged for those that connect most of the network, until it is determined."""
         for slot in self._free * 2:
             table = self.table(slot)
-            position, seen = _with_each(layout, slot, table)
-            worth = np.where(self.site.joined(position, seen), self.site.bonds(seen), -1.0)
+            position, visible = _with_each(layout, slot, table)
+            worth = np.where(self.site.feasible(position, visible), self.site.connectivity(visible), -1.0)
             if worth.max() < 0:
                 continue
             layout = layout.with_station(slot, table.take(np.array([worth.argmax()])))
@@ -246,9 +247,9 @@ class LayoutSearcher:
     def from_start(self, seed: int, start: int) -> PlannedLayout:
         """One start: number 0 begins at the site's own layout where that is allowed, the others at random."""
         rng = stream(seed, "plan", self.stations, start)
-        own = self.site.survey.position, self.site.survey.yaw
-        begins_there = start == 0 and np.isfinite(self.evaluate(*own).value)
-        layout = self.layout(*own) if begins_there else self.random_layout(rng)
+        current = self.site.survey.position, self.site.survey.yaw
+        begins_there = start == 0 and np.isfinite(self.evaluate(*current).value)
+        layout = self.layout(*current) if begins_there else self.random_layout(rng)
         if not np.isfinite(value := self._value(layout)):
             value = self._value(layout := self._bound(layout))
         self.keep(PlannedLayout(layout.position, layout.yaw, value))
@@ -257,10 +258,10 @@ class LayoutSearcher:
         return PlannedLayout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
 
 
-def _with_each(layout: StationBlocks, slot: int, candidates: StationBlocks) -> tuple[Floats, Bools]:
+def _with_each(layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
     """Places (N, S, 3) and sights (N, S, T) of the layout with each candidate as station `slot`."""
     count = len(candidates.position)
     position: Floats = np.repeat(layout.position[None], count, axis=0)
-    seen: Bools = np.repeat(layout.seen[None], count, axis=0)
-    position[:, slot], seen[:, slot] = candidates.position, candidates.seen
-    return position, seen
+    visible: Bools = np.repeat(layout.visible[None], count, axis=0)
+    position[:, slot], visible[:, slot] = candidates.position, candidates.visible
+    return position, visible

@@ -32,13 +32,13 @@ TIE = 1e-4
 
 
 @dataclass(frozen=True)
-class Site(ValueEquality):
-    """The freedom of a plan."""
+class SearchSpace(ValueEquality):
+    """Search space of a plan: allowed places of stations and reflectors, and the sights that a layout must have."""
 
     survey: Survey
     """The layout to start from: targets, gauge, noise, order of work."""
     areas: tuple[Area, ...]
-    """Allowed areas of tripods; each stands in one of them."""
+    """Allowed areas of tripods."""
     limits: SightLimits
     aimed: Bools
     """(T,): targets in fixed nests, which are aimed anew for every layout and must serve all its stations."""
@@ -47,10 +47,10 @@ class Site(ValueEquality):
     """Areas forbidden for tripods, even inside `areas`."""
     spacing: float = 1.0
     """[m]: least distance between stations."""
-    play: float = 0.0
-    """[m]: how far an instrument may stand off its place without losing a sight."""
-    least: int = 1
-    """Every target is seen from at least so many stations."""
+    position_tolerance: float = 0.0
+    """[m]: largest offset of an instrument from its place at which every sight is still free."""
+    min_sights: int = 1
+    """Minimum number of stations that see each target."""
     fixed: tuple[int, ...] = ()
     """Stations that stay where they are."""
     nests: Floats | None = None
@@ -64,7 +64,7 @@ class Site(ValueEquality):
         """[m]: lowest and highest centre of the instrument in any area."""
         return min(area.heights[0] for area in self.areas), max(area.heights[1] for area in self.areas)
 
-    def replace(self, **changes: Any) -> Site:
+    def replace(self, **changes: Any) -> SearchSpace:
         """A copy with some fields changed."""
         return replace(self, **changes)
 
@@ -72,25 +72,27 @@ class Site(ValueEquality):
         """(N,): a tripod may stand there."""
         return may_stand(self.areas, self.keep_outs, self.obstacles, position)
 
-    def seen(self, position: Floats, points: Floats | None = None) -> Bools:
-        """(N, T): targets in sight, also with some play; nests left aside (they are aimed later)."""
+    def visible(self, position: Floats, points: Floats | None = None) -> Bools:
+        """(N, T): visible targets within the position tolerance; nests are aimed later and not tested."""
         goal = self.survey.points if points is None else points
         table = visibility(position, goal, self.limits, obstacles=self.obstacles)
-        turn = self.play / table.range_
+        turn = self.position_tolerance / table.range_
         lowest = max(self.limits.elevation_min, 0.5 * (self.limits.cone_opening - np.pi))
         good: Bools = (
             table.visible & (table.elevation - turn >= lowest) & (table.elevation + turn <= self.limits.elevation_max)
         )
-        good &= table.range_ - self.play >= self.limits.range_min
-        if self.obstacles is not None and self.play:
+        good &= table.range_ - self.position_tolerance >= self.limits.range_min
+        if self.obstacles is not None and self.position_tolerance:
             s, t = np.nonzero(good)
-            good[s, t] = ~self.obstacles.blocked_near(position[s], self.obstacles.over_skin(goal)[t], self.play)
+            good[s, t] = ~self.obstacles.blocked_near(
+                position[s], self.obstacles.over_skin(goal)[t], self.position_tolerance
+            )
         return good
 
-    def joined(self, position: Floats, seen: Bools) -> Bools:
+    def feasible(self, position: Floats, visible: Bools) -> Bools:
         """(B,): layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `seen` (B, S, T)."""
-        good: Bools = np.asarray(~short_of_sights(seen, self.least).any(axis=1))
-        good &= ~short_of_targets(seen).any(axis=1)
+        good: Bools = np.asarray(~short_of_sights(visible, self.min_sights).any(axis=1))
+        good &= ~short_of_targets(visible).any(axis=1)
         good &= ~too_near(position, self.spacing).any(axis=(1, 2))
         if self.aimed.any() and good.any():
             good[good] = self._served(position[good]).all(axis=1)
@@ -101,31 +103,36 @@ class Site(ValueEquality):
         return (*self.broken_places(survey), *self.broken_sights(survey))
 
     def broken_places(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """Rules that the places of stations break, whoever sees whom."""
+        """Rules that the places of stations break, regardless of sights."""
         names, position = survey.station_names, survey.position
         rules = []
         for name, place in zip(names, position, strict=True):
             if why := objection(self.areas, self.keep_outs, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
         for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < TOUCH).tolist():
-            rules.append(BrokenRule(f"{names[s]} stands in {survey.target_names[t]}", (names[s],)))
+            rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
         for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
-            words = f"{names[first]} and {names[second]} stand {gap:.2f} m apart, nearer than {self.spacing:g} m"
+            words = f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.spacing:g} m"
             rules.append(BrokenRule(f"{words} (stations.spacing_mm)", (names[first], names[second])))
         return tuple(rules)
 
     def broken_sights(self, survey: Survey) -> tuple[BrokenRule, ...]:
         """Rules that the sights of a layout break: its `seen` holds."""
-        seen, targets, rules = survey.seen[None], survey.target_names, []
-        few = [targets[t] for t in np.flatnonzero(short_of_sights(seen, self.least)[0])]
+        visible, targets, rules = survey.visible[None], survey.target_names, []
+        few = [targets[t] for t in np.flatnonzero(short_of_sights(visible, self.min_sights)[0])]
         if few:
-            verb, stations = "is" if len(few) == 1 else "are", f"{self.least} station{'s' if self.least > 1 else ''}"
+            verb, stations = (
+                "is" if len(few) == 1 else "are",
+                f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
+            )
             named = listing(few, MOST_NAMED)
-            rules.append(BrokenRule(f"{named} {verb} seen from fewer than {stations} (stations.seen_from)"))
-        for s in np.flatnonzero(short_of_targets(seen)[0]):
-            count = int(survey.seen[s].sum())
-            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, fewer than {FEWEST}"))
+            rules.append(
+                BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
+            )
+        for s in np.flatnonzero(short_of_targets(visible)[0]):
+            count = int(survey.visible[s].sum())
+            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {FEWEST}"))
         if self.aimed.any():
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.aimed)]
             turned = [name for name, ok in zip(aimed, self._served(survey.position[None])[0], strict=True) if not ok]
@@ -134,9 +141,9 @@ class Site(ValueEquality):
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
-    def bonds(self, seen: Bools) -> Floats:
-        """(B,): how many stations hang on the first one by two targets or more, then how many are shared at all."""
-        shared = np.minimum(np.einsum("bst,brt->bsr", seen, seen, dtype=np.int64), FEWEST)
+    def connectivity(self, visible: Bools) -> Floats:
+        """(B,): number of stations connected to the first by two shared targets, plus the mean of shared targets."""
+        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), FEWEST)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))
 
@@ -145,13 +152,13 @@ class Site(ValueEquality):
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
-        incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.play / range_[..., 0]
+        incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
         return np.asarray(incidence.max(axis=2) < self.limits.acceptance - NEST_MARGIN)
 
     def out_of_sight(self, hidden: Ints) -> str:
         """A sentence on targets that no place on the floor sees, and what helps."""
         held = hidden[self.obstacles.holds(self.survey.points[hidden])] if self.obstacles else hidden[:0]
-        names, within = ([self.survey.target_names[t] for t in some] for some in (hidden, held))
+        names, within = ([self.survey.target_names[t] for t in indices] for indices in (hidden, held))
         low, high = (1e3 * height for height in self.heights)
         cure = "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
         if within:
@@ -159,9 +166,9 @@ class Site(ValueEquality):
             cure = f"{listing(within, MOST_NAMED)} {lie} inside an obstacle: move points or bodies"
         return f"no place on the floor sees {listing(names, MOST_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
 
-    def lacking(self, placement: Placement, chosen: list[int]) -> str:
+    def unseen_targets(self, placement: Placement, chosen: list[int]) -> str:
         """Targets that stations at places of a placement leave with too few sights, in words; empty for none."""
-        few = np.flatnonzero(placement.missing(chosen, self.least))
+        few = np.flatnonzero(placement.missing(chosen, self.min_sights))
         return listing([self.survey.target_names[t] for t in few], MOST_NAMED) if len(few) else ""
 
     def places(self, step: float, heights: int) -> Floats:
@@ -175,12 +182,12 @@ class Site(ValueEquality):
         Raises SetupError where there is no such place.
         """
         places, fixed = self.places(step, heights), self.survey.position[list(self.fixed)]
-        seen = self.seen(places)
-        enough = seen.sum(axis=1) >= FEWEST
+        visible = self.visible(places)
+        enough = visible.sum(axis=1) >= FEWEST
         if not enough.any():
             raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
-        counted = self.seen(fixed).sum(axis=0) if len(fixed) else np.zeros(seen.shape[1], dtype=np.int64)
-        return Placement(places[enough], seen[enough], self.spacing, fixed, counted)
+        counted = self.visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
+        return Placement(places[enough], visible[enough], self.spacing, fixed, counted)
 
 
 @dataclass(frozen=True)
@@ -189,7 +196,7 @@ class Placement:
 
     position: Floats
     """(N, 3) [m]: where a station may stand."""
-    seen: Bools
+    visible: Bools
     """(N, T): targets in sight from there."""
     spacing: float
     """[m]: least distance between two stations, seen from above."""
@@ -204,37 +211,37 @@ class Placement:
         With `rng` each station is put at the best of a few random places: another answer for each draw.
         """
         chosen: list[int] = []
-        while len(chosen) < count and (one := self._best(chosen, wanted, rng)) >= 0:
-            chosen.append(one)
+        while len(chosen) < count and (place := self._best(chosen, wanted, rng)) >= 0:
+            chosen.append(place)
         if len(chosen) == count and not self.missing(chosen, wanted).any():
             return chosen
         return self._exact(count, wanted, rng) or chosen
 
     def missing(self, chosen: list[int], wanted: int) -> Ints:
         """(T,): how many sights of each target are missing until it is seen `wanted` times."""
-        return np.asarray(np.maximum(wanted - self.counted - self.seen[chosen].sum(axis=0), 0))
+        return np.asarray(np.maximum(wanted - self.counted - self.visible[chosen].sum(axis=0), 0))
 
     def _best(self, others: list[int], wanted: int, rng: np.random.Generator | None) -> int:
         """The place that adds most to the others, further sights counted a little; -1 where none is allowed."""
         count = len(self.position)
         rows = np.arange(count) if rng is None else rng.integers(count, size=min(DRAWS, count))
-        had = self.counted + self.seen[others].sum(axis=0)
-        worth = (np.minimum(had + self.seen[rows], wanted) - np.minimum(had, wanted)).sum(axis=1).astype(np.float64)
-        worth += 1e-3 * (self.seen[rows] / (1.0 + had) ** 2).sum(axis=1)
+        had = self.counted + self.visible[others].sum(axis=0)
+        worth = (np.minimum(had + self.visible[rows], wanted) - np.minimum(had, wanted)).sum(axis=1).astype(np.float64)
+        worth += 1e-3 * (self.visible[rows] / (1.0 + had) ** 2).sum(axis=1)
         for place in (*self.standing, *self.position[others]):
             worth[np.linalg.norm(self.position[rows, :2] - place[:2], axis=1) < self.spacing] = -1.0
         return int(rows[np.argmax(worth)]) if worth.max(initial=-1.0) >= 0.0 else -1
 
     def _exact(self, count: int, wanted: int, rng: np.random.Generator | None) -> list[int]:
         """The places with the fewest missing sights of all combinations; empty where none keep their distance."""
-        places, targets = self.seen.shape
+        places, targets = self.visible.shape
         gap = np.linalg.norm(self.position[:, None, :2] - self.standing[None, :, :2], axis=2)
         free = (gap >= self.spacing).all(axis=1)
         near = np.linalg.norm(self.position[:, None, :2] - self.position[None, :, :2], axis=2) < self.spacing
         first, second = np.nonzero(np.triu(near, 1))
         rows = np.arange(len(first))
         pairs = sp.csr_array((np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places))
-        sights = sp.hstack([sp.csr_array(self.seen.T.astype(np.float64)), sp.eye_array(targets)])
+        sights = sp.hstack([sp.csr_array(self.visible.T.astype(np.float64)), sp.eye_array(targets)])
         need = np.maximum(wanted - self.counted, 0)
         limits = [
             LinearConstraint(sights, need, np.inf),
@@ -243,11 +250,11 @@ class Placement:
         if len(first):
             limits.append(LinearConstraint(sp.hstack([pairs, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
         cost = np.zeros(places) if rng is None else TIE * rng.random(places)
-        found = milp(
+        solution = milp(
             np.r_[cost, np.ones(targets)],
             constraints=limits,
             integrality=np.r_[np.ones(places), np.zeros(targets)],
             bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted))]),
             options={"node_limit": NODES},
         )
-        return [] if found.x is None else np.flatnonzero(found.x[:places] > 0.5).tolist()
+        return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()

@@ -39,24 +39,24 @@ class Point(TomlSection):
 
 
 class Stations(TomlSection):
-    """Number of stations; `tries` are the numbers of the trade-off curve, `fixed` ones stay where they are.
+    """Number of stations, numbers of the trade-off curve, stations that stay where they are, and rules.
 
-    Every sight holds when an instrument stands up to `play_mm` off its place: nobody sets up to the millimetre.
+    Every sight must be free while the instrument stands up to `position_tolerance_mm` off its place.
     """
 
     count: Few | None = None
     """Number of stations; the scenario's number where it is not given."""
-    most: Few = 8
+    max_count: Few = 8
     """The largest number that is tried for the goal's tolerances, where no count is given."""
-    tries: tuple[Few, ...] = ()
+    tradeoff_counts: tuple[Few, ...] = ()
     """Numbers of stations of the trade-off curve."""
     fixed: tuple[str, ...] = ()
     """Stations of the scenario that stay."""
     spacing_mm: NonNegative = 1000.0
     """Smallest distance between two stations, seen from above."""
-    play_mm: NonNegative = 50.0
+    position_tolerance_mm: NonNegative = 50.0
     """Largest distance of an instrument from its place at which every sight must still be free."""
-    seen_from: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
+    min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
     """Least number of stations that see each reflector; without it all of them, or as many as some layout allows."""
 
 
@@ -95,9 +95,9 @@ class Reflectors(TomlSection):
     """Tables `[[reflectors.places]]`."""
     on: tuple[str, ...] = ()
     """Names of obstacles whose surfaces can hold a nest, and `walls`: places are found on them."""
-    apart_mm: Positive = 1000.0
+    place_spacing_mm: Positive = 1000.0
     """Least distance between places on them."""
-    reach_mm: Positive = 40.0
+    standoff_mm: Positive = 40.0
     """Height of a reflector's centre over such a surface."""
     movable: tuple[str, ...] = ()
     """Points of the list, or groups of them, that may go elsewhere: the search leaves them where they are, and what a
@@ -175,7 +175,7 @@ class Search(TomlSection):
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
     """Independent searches for the plan itself."""
-    starts_of_the_curve: Annotated[int, Field(ge=1, le=1000)] = 1
+    tradeoff_starts: Annotated[int, Field(ge=1, le=1000)] = 1
     """Independent searches for each other point of the curve."""
     grid_mm: Positive | None = None
     """Step of the candidate places on the floor; default about 250 places, at least 500 mm apart. Stations are moved
@@ -223,14 +223,14 @@ class PlanFile(TomlSection):
     search: Search = Search()
     """Extent of the search."""
 
-    def with_seen_from(self, least: int) -> PlanFile:
+    def with_min_stations(self, least: int) -> PlanFile:
         """The file that asks for `least` stations in sight of each reflector."""
-        return self.model_copy(update={"stations": self.stations.model_copy(update={"seen_from": least})})
+        return self.model_copy(update={"stations": self.stations.model_copy(update={"min_stations_per_target": least})})
 
     @property
     def asks_for_sights(self) -> bool:
         """It says from how many stations each reflector must be seen."""
-        return "seen_from" in self.stations.model_fields_set
+        return "min_stations_per_target" in self.stations.model_fields_set
 
     @property
     def chooses(self) -> bool:

@@ -17,7 +17,7 @@ from ltsim.core.parallel import ProgressWriter, parallel, track_progress
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, PlannedLayout
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, staying
@@ -36,7 +36,7 @@ SAMPLE, AROUND = 480, 24
 SWEEPS, MOVES = 3.0, 14.0
 """Rounds of exchanges, and of moves off the grid, that a search usually takes."""
 
-Found = tuple[float, Survey]
+Layout = tuple[float, Survey]
 """Value and survey of a layout."""
 Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
 """Value, start and survey of each layout, by number of stations and of faces."""
@@ -63,12 +63,12 @@ class PlanningProblem:
         """The construction whose parameters are meant."""
         return planned_construction(self.scenario)
 
-    def site(self, task: SearchTask) -> Site:
-        """The freedom of a search."""
+    def site(self, task: SearchTask) -> SearchSpace:
+        """Search space of a task."""
         return site_of(self.file, self.scenario, stations=task.stations, faces=task.faces)
 
     def searcher(
-        self, site: Site, tell: Callable[[float], None] = quiet, keep: Callable[[PlannedLayout], None] = quiet
+        self, site: SearchSpace, tell: Callable[[float], None] = quiet, keep: Callable[[PlannedLayout], None] = quiet
     ) -> LayoutSearcher:
         """The search on a site for the file's objective."""
         settings, objective = self.file.search, objective_of(self.file, site.survey)
@@ -88,10 +88,10 @@ def gathered(
     `share` hears the share of the whole that is done; `keep` is given the best layout so far and its value, from a
     thread of its own.
     """
-    done: dict[int, Found] = {}
-    stopped, told, last = False, np.inf, -np.inf
+    done: dict[int, Layout] = {}
+    stopped, reported, last = False, np.inf, -np.inf
 
-    def best_so_far(notes: ProgressWriter) -> dict[int, Found]:
+    def best_so_far(notes: ProgressWriter) -> dict[int, Layout]:
         """Best layout of each running search, from the notes of its process."""
         rows = {number: np.load(path) for number in range(len(tasks)) if (path := _note(notes, number)).is_file()}
         return {
@@ -99,14 +99,14 @@ def gathered(
         }
 
     def look(done_share: float) -> None:
-        nonlocal told, last
+        nonlocal reported, last
         share(done_share)
         if monotonic() - last < SAYS:
             return
         last = monotonic()
-        value, survey = min((best_so_far(notes) | done).values(), key=lambda one: one[0], default=(np.inf, None))
-        if survey is not None and value < told * (1 - WORTH):
-            told = value
+        value, survey = min((best_so_far(notes) | done).values(), key=lambda layout: layout[0], default=(np.inf, None))
+        if survey is not None and value < reported * (1 - WORTH):
+            reported = value
             keep(survey, value)
 
     with track_progress(len(tasks), lambda done_share: look(done_share)) as notes:
@@ -117,11 +117,11 @@ def gathered(
                 done |= {number: layout} if layout is not None else {}
         except KeyboardInterrupt:
             stopped, done = True, best_so_far(notes) | done
-    found: Layouts = {}
+    layouts: Layouts = {}
     for number, (value, survey) in sorted(done.items()):
         task = tasks[number]
-        found.setdefault((task.stations, task.faces), []).append((value, task.start, survey))
-    return found, stopped
+        layouts.setdefault((task.stations, task.faces), []).append((value, task.start, survey))
+    return layouts, stopped
 
 
 def _note(notes: ProgressWriter, number: int) -> Path:
@@ -130,7 +130,7 @@ def _note(notes: ProgressWriter, number: int) -> Path:
 
 def _task(
     problem: PlanningProblem, task: SearchTask, notes: ProgressWriter, number: int, here: bool
-) -> tuple[int, Found | None]:
+) -> tuple[int, Layout | None]:
     """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
     if not here:  # in a process of its own: Ctrl-C is for the one that gathers
         signal(SIGINT, SIG_IGN)
@@ -142,46 +142,46 @@ def _task(
         half.replace(_note(notes, number))
 
     try:
-        return number, search_one(problem, task, partial(notes.write, number), keep)
+        return number, search_from_start(problem, task, partial(notes.write, number), keep)
     except (SetupError, NetworkError):
         return number, None
     finally:
         notes.write(number, 1.0)
 
 
-def search_one(
+def search_from_start(
     problem: PlanningProblem,
     task: SearchTask,
     tell: Callable[[float], None] = quiet,
     keep: Callable[[PlannedLayout], None] = quiet,
-) -> Found:
+) -> Layout:
     """One start: stations, then reflectors where they are free, and stations again."""
     site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
     rounds, done = 1 if stays.all() else 1 + ROUNDS, 0
     searcher = problem.searcher(site, lambda share: tell((done + share) / rounds), keep)
-    found = searcher.from_start(seed, task.start)
-    survey = _moved(site, found.position, found.yaw)
+    layout = searcher.from_start(seed, task.start)
+    survey = _moved(site, layout.position, layout.yaw)
     while done < rounds - 1:
         done += 1
         survey = choose_reflectors(site, survey, stays, searcher.objective, problem.built)
         stays = np.arange(len(survey.points)) < stays.sum()
         site = site.replace(survey=survey, aimed=np.full(len(survey.points), bool(site.aimed.any())))
-        found = replace(searcher, site=site, keep=quiet).from_start(seed, 0)
-        survey = _moved(site, found.position, found.yaw)
-    return found.value, survey
+        layout = replace(searcher, site=site, keep=quiet).from_start(seed, 0)
+        survey = _moved(site, layout.position, layout.yaw)
+    return layout.value, survey
 
 
-def _moved(site: Site, position: Floats, yaw: Floats) -> Survey:
-    return site.survey.replace(position=position, yaw=yaw, seen=site.seen(position))
+def _moved(site: SearchSpace, position: Floats, yaw: Floats) -> Survey:
+    return site.survey.replace(position=position, yaw=yaw, visible=site.visible(position))
 
 
 def expected_seconds(problem: PlanningProblem, tasks: Sequence[SearchTask]) -> float:
     """Expected duration [s] of searches, one after the other, from timing a sample of their steps."""
     ways = Counter((task.stations, task.faces) for task in tasks)
-    return sum(count * _seconds_of_one(problem, SearchTask(*way, 0)) for way, count in ways.items())
+    return sum(count * _seconds_of_search(problem, SearchTask(*way, 0)) for way, count in ways.items())
 
 
-def _seconds_of_one(problem: PlanningProblem, task: SearchTask) -> float:
+def _seconds_of_search(problem: PlanningProblem, task: SearchTask) -> float:
     site = problem.site(task)
     work = problem.searcher(site)
     places = site.places(work.step, work.heights)
@@ -196,12 +196,12 @@ def _seconds_of_one(problem: PlanningProblem, task: SearchTask) -> float:
 
 def _seconds_of_setups(work: LayoutSearcher, places: Floats, stations: int, count: int) -> Floats:
     """Seconds (3,) a set-up takes among so many at once: to see what it sees, to be made, to be valued in a layout."""
-    some = places[np.linspace(0, len(places) - 1, count).astype(int)]
+    sample = places[np.linspace(0, len(places) - 1, count).astype(int)]
     for _ in range(2):  # what the first calls load is no part of the work
         times = [monotonic()]
-        seen = work.site.seen(some)
+        visible = work.site.visible(sample)
         times.append(monotonic())
-        pool = work.pool(some, np.zeros(count), 0, seen)
+        pool = work.pool(sample, np.zeros(count), 0, visible)
         times.append(monotonic())
         work.replacements(pool.take(np.arange(stations)), 0, pool, anywhere=True)
         times.append(monotonic())

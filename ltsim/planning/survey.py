@@ -1,4 +1,4 @@
-"""A survey that nobody has made yet: where the stations stand, what they point at, how often, and what it costs."""
+"""Planned survey: places of stations, targets, pointings and their cost, before any measurement."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Survey:
     """(S,) [rad]: turn of each instrument about the vertical."""
     points: Floats
     """(T, 3) [m]."""
-    seen: Bools
+    visible: Bools
     """(S, T): which targets are measured from which station."""
     faces: tuple[int, ...] = (1, 2)
     """1 and/or 2."""
@@ -60,20 +60,20 @@ class Survey:
         as_floats(self.position, (stations, 3), "position")
         as_floats(self.yaw, (stations,), "yaw")
         as_floats(self.points, (targets, 3), "points")
-        if self.seen.shape != (stations, targets):
-            raise SetupError(f"seen has shape {self.seen.shape}, expected {(stations, targets)}")
+        if self.visible.shape != (stations, targets):
+            raise SetupError(f"seen has shape {self.visible.shape}, expected {(stations, targets)}")
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def noise(self, sightings: Sightings) -> Floats:
         """Nominal standard deviations (n, 3) [m, rad, rad] of the readings, without that of the air."""
-        stated = [self.setup.instrument.noise]
-        return noise_sigma(stated, sightings.instrument, sightings.range_, sightings.elevation)
+        nominal = [self.setup.instrument.noise]
+        return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
     @property
     def pointings(self) -> int:
         """Number of pointings n."""
-        return int(self.seen.sum()) * len(self.faces) * self.repeats
+        return int(self.visible.sum()) * len(self.faces) * self.repeats
 
     @property
     def seconds(self) -> float:
@@ -142,18 +142,18 @@ class Survey:
         places = zip(
             self.station_names, (self.position / MILLIMETRE).tolist(), np.degrees(self.yaw).tolist(), strict=True
         )
-        stated = {
+        declared = {
             name: self.setup.stations.get(name, Station()).model_copy(update={"position_mm": tuple(p), "yaw_deg": yaw})
             for name, p, yaw in places
         }
-        return self.setup.model_copy(update={"stations": stated})
+        return self.setup.model_copy(update={"stations": declared})
 
     def _empty(self) -> Recording:
         rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
         axes = np.arange(len(self.position)), rounds, faces, np.arange(len(self.points))
         station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
         order = np.lexsort((self.turn(station, target, face), repeat, station))
-        order = order[self.seen[station[order], target[order]]]
+        order = order[self.visible[station[order], target[order]]]
         station, repeat, face, target = (axis[order].astype(np.int64) for axis in (station, repeat, face, target))
         return Recording(
             setup=self._placed_setup,
@@ -174,7 +174,7 @@ class Survey:
             station_names=tuple(n for n, k in zip(self.station_names, keep, strict=True) if k),
             position=self.position[keep],
             yaw=self.yaw[keep],
-            seen=self.seen[keep],
+            visible=self.visible[keep],
             rank=None if self.rank is None else self.rank[keep],
         )
 
@@ -185,7 +185,7 @@ class Survey:
         return self.replace(
             target_names=tuple(n for n, k in zip(self.target_names, targets, strict=True) if k),
             points=self.points[targets],
-            seen=self.seen[:, targets],
+            visible=self.visible[:, targets],
             rank=None if self.rank is None else np.argsort(np.argsort(self.rank[:, targets], axis=1), axis=1),
         )
 

@@ -1,4 +1,4 @@
-"""Tolerances of points: limits of their errors, layouts that keep them, and those that remain after a loss."""
+"""Tolerances of points: limits of their errors, checks of a layout, and checks after a loss of a station or sight."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 
 LOOSE = 10.0
-"""Points without a tolerance count as if theirs were so many times the widest one."""
+"""Factor on the widest tolerance that gives points without a tolerance theirs in the objective."""
 LEAST_WEIGHT = 1e-6
 MOST_NAMED = 5
 SIGHT = "the sight"
 """First words of the name of a lost sight."""
-APART = "the network falls apart"
-"""Description of a network that no longer determines its points."""
+UNDETERMINED = "the network no longer determines its points"
+"""Description of a network with free motions left."""
 
 
 def keeps(ratio: float) -> bool:
@@ -45,26 +45,26 @@ def percent(ratio: float) -> str:
 
 
 @dataclass(frozen=True)
-class Demands:
-    """Tolerances that points must keep."""
+class Tolerances:
+    """Tolerances of points, their confidence level, and the loss that they must withstand."""
 
     tolerance: Mapping[str, float]
     """[m]: by point."""
     level: float = 0.95
-    """Share of cases in which a point must be within."""
+    """Confidence level: share of cases in which a point must be within its tolerance."""
     robust: str = "no"
-    """`no`, or which loss must not break a tolerance: `sight`, `station`."""
+    """Loss after which all tolerances must still be met: `sight` or `station`; `no` for none."""
 
     @classmethod
-    def of(cls, file: PlanFile) -> Demands:
-        """Demands of a plan file: a point's own tolerance, else the tightest that names its group or all."""
-        found = {}
+    def of(cls, file: PlanFile) -> Tolerances:
+        """Tolerances of a plan file: that of the point, else the tightest of its group or of all points."""
+        limits = {}
         for point in file.listed:
             named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
-            own = point.tolerance_mm if point.tolerance_mm is not None else min(named, default=None)
-            if own is not None:
-                found[point.name] = own * MILLIMETRE
-        return cls(found, file.goal.level_pct / 100.0, file.goal.robust)
+            limit = point.tolerance_mm if point.tolerance_mm is not None else min(named, default=None)
+            if limit is not None:
+                limits[point.name] = limit * MILLIMETRE
+        return cls(limits, file.goal.level_pct / 100.0, file.goal.robust)
 
     def __bool__(self) -> bool:
         return bool(self.tolerance)
@@ -72,7 +72,7 @@ class Demands:
 
 def importance(file: PlanFile) -> dict[str, float]:
     """Weights of a plan's points: their own, over the squares of their tolerances."""
-    demands = Demands.of(file)
+    demands = Tolerances.of(file)
     if not demands:
         return {p.name: max(p.weight, LEAST_WEIGHT) for p in file.listed if p.weight != 1.0}
     tight, wide = min(demands.tolerance.values()), LOOSE * max(demands.tolerance.values())
@@ -95,25 +95,25 @@ def radius(covariance: Floats, level: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A layout against its demands."""
+class ToleranceCheck:
+    """Check of a layout against its tolerances, whole or after a loss."""
 
     lost: str
     """Lost station or sight; empty for the whole layout."""
     tolerance: Mapping[str, float]
     """[m]: by point."""
     radius: Mapping[str, float]
-    """[m]: of the points that have a tolerance and a place."""
+    """[m]: error at the confidence level of each determined point with a tolerance."""
     ratio: float
     """Largest radius over tolerance; infinite where a point is not determined."""
     worst: str
     """The point with that ratio."""
     unseen: tuple[str, ...] = ()
-    """Points with a tolerance that have no place any more."""
+    """Points with a tolerance that no station sees."""
 
     @property
     def good(self) -> bool:
-        """All tolerances are kept."""
+        """All tolerances are met."""
         return keeps(self.ratio)
 
     @property
@@ -123,7 +123,7 @@ class Kept:
 
     @property
     def over(self) -> list[str]:
-        """Points with a place whose errors are too large."""
+        """Determined points whose errors exceed their tolerances."""
         return [name for name in self.radius if not keeps(self.used(name))]
 
     def used(self, name: str) -> float:
@@ -140,117 +140,124 @@ class Kept:
         """The worst point with its margin, or how far it is missed, where there is one."""
         excess = 100 * (self.ratio - 1)
         margin = f"margin {-excess:.0f} %" if self.good else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
-        margin = margin if np.isfinite(excess) else "seen from nowhere"
-        return f"worst {self.worst_words} ({margin})" if self.radius else APART
+        margin = margin if np.isfinite(excess) else "not visible from any station"
+        return f"worst point {self.worst_words} ({margin})" if self.radius else UNDETERMINED
 
     @property
-    def remains(self) -> str:
-        """Tolerances that remain, in words."""
+    def remaining(self) -> str:
+        """Points that are not visible or exceed their tolerances, as a clause."""
         if self.good:
-            return f"all tolerances hold; {self.worst_words} comes nearest"
+            return f"all tolerances are met, worst point {self.worst_words}"
         verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MOST_NAMED)
-        found = [f"{named} {verb} seen from nowhere"] if self.unseen else []
+        parts = [f"{named} {verb} not visible from any station"] if self.unseen else []
         if not self.radius:
-            found.append(APART)
+            parts.append(UNDETERMINED)
         if self.over:
-            worst = max(self.over, key=self.used)
-            others = f", {len(self.over) - 1} more too" if len(self.over) > 1 else ""
-            found.append(f"{self.numbers(worst)} is too large{others}")
-        return ", ".join(found)
+            worst, many = max(self.over, key=self.used), len(self.over) > 1
+            points = f"{len(self.over)} points exceed their tolerances" if many else "1 point exceeds its tolerance"
+            parts.append(f"{points} ({'worst ' if many else ''}{self.numbers(worst)})")
+        return ", ".join(parts)
 
     def numbers(self, name: str) -> str:
         """A point with its error and its tolerance."""
         error, tolerance = self.radius[name] / MILLIMETRE, self.tolerance[name] / MILLIMETRE
-        return f"{name} with {against(error, tolerance)} of {tolerance:.6g} mm"
+        return f"{name}: {against(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
-def judged(survey: Survey, demands: Demands, built: Construction, lost: str = "") -> Kept:
-    """Survey against its demands; points that no station sees are left out of the network and named."""
-    seen: Bools = np.asarray(survey.seen.any(axis=0))
-    unseen = tuple(n for n, s in zip(survey.target_names, seen, strict=True) if not s and n in demands.tolerance)
+def judged(survey: Survey, demands: Tolerances, built: Construction, lost: str = "") -> ToleranceCheck:
+    """Check of a survey; points that no station sees are excluded from the network and reported."""
+    visible: Bools = np.asarray(survey.visible.any(axis=0))
+    unseen = tuple(n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in demands.tolerance)
     try:
-        if not seen.any():
+        if not visible.any():
             raise NetworkError("no station sees a target")
-        information = LayoutInformation.of(survey.only(seen), built)
+        information = LayoutInformation.of(survey.only(visible), built)
     except NetworkError:
-        return Kept(lost, demands.tolerance, {}, np.inf, "", unseen)
+        return ToleranceCheck(lost, demands.tolerance, {}, np.inf, "", unseen)
     names = information.survey.target_names
     every = dict(zip(names, radius(information.target_covariance, demands.level).tolist(), strict=True))
-    found = {name: every[name] for name in demands.tolerance if name in every}
-    ratios = {name: value / demands.tolerance[name] for name, value in found.items()}
+    radii = {name: every[name] for name in demands.tolerance if name in every}
+    ratios = {name: value / demands.tolerance[name] for name, value in radii.items()}
     worst = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
-    return Kept(lost, demands.tolerance, found, np.inf if unseen or not ratios else ratios[worst], worst, unseen)
+    return ToleranceCheck(
+        lost, demands.tolerance, radii, np.inf if unseen or not ratios else ratios[worst], worst, unseen
+    )
 
 
-def after_losses(survey: Survey, demands: Demands, built: Construction, kind: str) -> Iterator[Kept]:
-    """Survey against its demands without each station in turn (`station`), or each sight of a point (`sight`)."""
+def after_losses(survey: Survey, demands: Tolerances, built: Construction, kind: str) -> Iterator[ToleranceCheck]:
+    """Checks of a survey without each station in turn (`station`), or each sight of a point (`sight`)."""
     if kind == "station":
         for s, name in enumerate(survey.station_names):
             yield judged(survey.without(s), demands, built, name)
         return
-    for s, t in np.argwhere(survey.seen).tolist():
+    for s, t in np.argwhere(survey.visible).tolist():
         # A sight of a point without a tolerance is one of many that hold the network.
         if survey.target_names[t] in demands.tolerance:
-            seen = survey.seen.copy()
-            seen[s, t] = False
+            visible = survey.visible.copy()
+            visible[s, t] = False
             name = f"{SIGHT} from {survey.station_names[s]} to {survey.target_names[t]}"
-            yield judged(survey.replace(seen=seen), demands, built, name)
+            yield judged(survey.replace(visible=visible), demands, built, name)
 
 
-def every_loss(survey: Survey, demands: Demands, built: Construction) -> tuple[Kept, ...]:
-    """Survey against its demands without each station, then without each sight of a point with a tolerance."""
+def every_loss(survey: Survey, demands: Tolerances, built: Construction) -> tuple[ToleranceCheck, ...]:
+    """Checks of a survey without each station, then without each sight of a point with a tolerance."""
     kinds = ("station", "sight") if demands else ()
-    return tuple(kept for kind in kinds for kept in after_losses(survey, demands, built, kind))
+    return tuple(check for kind in kinds for check in after_losses(survey, demands, built, kind))
 
 
-def losses_of(survey: Survey, demands: Demands, built: Construction) -> list[Kept]:
-    """Survey without each station, and without each sight where the demands are robust to that: input of a verdict."""
+def losses_of(survey: Survey, demands: Tolerances, built: Construction) -> list[ToleranceCheck]:
+    """Checks without each station, and without each sight where tolerances must withstand that: input of a verdict."""
     kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
     return [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
 
 
-def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, float]:
-    """True where a survey keeps its demands, after any one loss too where they ask so; and the largest ratio."""
-    own = judged(survey, demands, built)
-    if not own.good or demands.robust == "no":
-        return own.good, own.ratio
-    worst = max(kept.ratio for kept in after_losses(survey, demands, built, demands.robust))
+def is_feasible(survey: Survey, demands: Tolerances, built: Construction) -> tuple[bool, float]:
+    """Feasibility of a survey (tolerances are met, after any single loss too where required), and the largest ratio."""
+    whole = judged(survey, demands, built)
+    if not whole.good or demands.robust == "no":
+        return whole.good, whole.ratio
+    worst = max(loss.ratio for loss in after_losses(survey, demands, built, demands.robust))
     return keeps(worst), worst
 
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """A layout against the rules of its plan and its tolerances: the same for search, move, board and page."""
+    """Verdict on a layout by the rules and the tolerances of its plan: the same for search, move, board and page."""
 
     reached: bool
-    """No rule is broken and all tolerances are kept, after any one loss too where that is asked for."""
+    """No rule is broken and all tolerances are met, after any single loss too where required."""
     words: str
-    """It in a sentence without its full stop."""
+    """The verdict in sentences, without the last full stop."""
 
 
-def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept], broken: Sequence[BrokenRule] = ()) -> PlanVerdict:
-    """Reached or not, broken rules, the worst point and its margin, and the worst of it with any one station lost."""
+def verdict(
+    demands: Tolerances, check: ToleranceCheck, losses: Sequence[ToleranceCheck], broken: Sequence[BrokenRule] = ()
+) -> PlanVerdict:
+    """Goal reached or not, broken rules, the worst point and its margin, and the worst check with one station lost."""
     asked = [loss for loss in losses if demands.robust == ("sight" if loss.of_sight else "station")]
-    reached = not broken and kept.good and all(loss.good for loss in asked)
+    reached = not broken and check.good and all(loss.good for loss in asked)
     count = len(demands.tolerance)
-    what = f"all {count}" if kept.good else f"{len(kept.radius) - len(kept.over)} of {count}"
-    words = f"{what} tolerances kept at {100 * demands.level:g} %, {kept.worst_point}"
+    number = f"all {count}" if check.good else f"{len(check.radius) - len(check.over)} of {count}"
+    words = f"{number} tolerances are met at {100 * demands.level:g} % confidence; {check.worst_point}"
     worst = max((loss for loss in losses if not loss.of_sight), key=lambda loss: loss.ratio, default=None)
     if worst is not None:
-        lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
-        words += f"; with any one station lost {lost}, {worst.worst_point}"
-    rules = f"the layout breaks a rule ({words_of(broken)}); " if broken else ""
+        lost = "without any one station all are met" if worst.good else f"without {worst.lost} they are not met"
+        words += f". {lost[0].upper()}{lost[1:]}; {worst.worst_point}"
+    rules = f"the layout breaks a rule ({words_of(broken)}). " if broken else ""
+    words = words[0].upper() + words[1:] if broken else words
     return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")
 
 
-def sentences(losses: Sequence[Kept]) -> list[str]:
-    """Sentences on the tolerances that remain when a station or a sight is lost."""
-    found = [f"Without {loss.lost} {loss.remains}." for loss in losses if not loss.of_sight]
+def loss_sentences(losses: Sequence[ToleranceCheck]) -> list[str]:
+    """Sentences on the tolerances after the loss of a station or a sight."""
+    texts = [f"Without {loss.lost}: {loss.remaining}." for loss in losses if not loss.of_sight]
     sights = [loss for loss in losses if loss.of_sight]
     broken = sorted((loss for loss in sights if not loss.good), key=lambda loss: -loss.ratio)
     if broken:
-        more = f", and {len(broken) - 1} more of {len(sights)}" if len(broken) > 1 else f", alone of {len(sights)}"
-        found.append(f"Blocking {broken[0].lost} breaks a tolerance ({broken[0].remains}){more}.")
+        number = f"{len(broken)} of {len(sights)} sights"
+        texts.append(f"{number} are critical; without {broken[0].lost}: {broken[0].remaining}.")
     elif sights:
-        found.append(f"Any one of {len(sights)} sights of these points may be blocked: the tolerances hold.")
-    return found
+        texts.append(
+            f"Any single one of the {len(sights)} sights of these points may be blocked; all tolerances are still met."
+        )
+    return texts

@@ -16,11 +16,11 @@ from ltsim.planning.making import Follower, make_plan
 from ltsim.planning.plan import Plan
 from ltsim.planning.planner import judge
 from ltsim.planning.rules import words_of
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, judged, losses_of, verdict
+from ltsim.planning.tolerances import Tolerances, judged, losses_of, verdict
 from ltsim.planning.workshop import as_it_stands
 from ltsim.simulation.scenario import Scenario
 
@@ -119,28 +119,28 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
     problem, survey = PlanningProblem(file, scenario), site.survey
     slot = _index(survey, station)
     others = [s for s in range(len(survey.position)) if s != slot]
-    work = problem.searcher(site.replace(survey=survey, fixed=tuple(others), least=0))
+    work = problem.searcher(site.replace(survey=survey, fixed=tuple(others), min_sights=0))
     table = work.table(slot)
     values = work.replacements(work.layout(survey.position, survey.yaw), slot, table)
     values[_gap(table.position, survey.position[slot]) < CLEAR] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
-    demanded = Demands.of(file).tolerance or survey.target_names
+    demanded = Tolerances.of(file).tolerance or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
-    lacking = np.maximum(site.least - survey.seen[others].sum(axis=0) - table.seen, 0)[:, asked].sum(axis=1)
-    found: list[Alternative] = []
+    lacking = np.maximum(site.min_sights - survey.visible[others].sum(axis=0) - table.visible, 0)[:, asked].sum(axis=1)
+    alternatives: list[Alternative] = []
     for best in np.lexsort((values, lacking)).tolist():
-        near = [_gap(table.position[[best]], one.survey.position[slot])[0] < CLEAR for one in found]
-        if len(found) == MOST or not np.isfinite(values[best]) or any(near):
+        near = [_gap(table.position[[best]], option_.survey.position[slot])[0] < CLEAR for option_ in alternatives]
+        if len(alternatives) == MOST or not np.isfinite(values[best]) or any(near):
             continue
         position, yaw = survey.position.copy(), survey.yaw.copy()
         position[slot], yaw[slot] = table.position[best], table.yaw[best]
-        there = survey.replace(position=position, yaw=yaw, seen=site.seen(position))
+        there = survey.replace(position=position, yaw=yaw, visible=site.visible(position))
         words = f"{_at(station, position[slot])}, turned by {yaw[slot] / DEGREE:.0f} deg"
         x, y, z = position[slot] / MILLIMETRE
         move = f"{station}={x:.1f},{y:.1f},{z:.1f},{yaw[slot] / DEGREE:g}"
-        found.append(_alternative(problem, site, there, words, move))
+        alternatives.append(_alternative(problem, site, there, words, move))
     alone = _alternative(problem, site, survey.without(slot), f"without {station}")
-    return (alone, *sorted(found, key=lambda one: (not one.good, one.worth)))
+    return (alone, *sorted(alternatives, key=lambda option_: (not option_.good, option_.worth)))
 
 
 def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]]) -> Plan:
@@ -161,7 +161,7 @@ def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]
     wrong = [rule for rule in site.broken_places(survey) if {*rule.stations} & {*to}]
     if wrong:
         raise SetupError(f"{option('move')}: {words_of(wrong)}")
-    return Plan.of(judge(file, scenario, survey.replace(seen=site.seen(position))))
+    return Plan.of(judge(file, scenario, survey.replace(visible=site.visible(position))))
 
 
 def _at(station: str, place: Floats) -> str:
@@ -179,20 +179,22 @@ def _index(survey: Survey, name: str) -> int:
     return survey.station_names.index(name)
 
 
-def _alternative(problem: PlanningProblem, site: Site, survey: Survey, words: str, move: str = "") -> Alternative:
+def _alternative(
+    problem: PlanningProblem, site: SearchSpace, survey: Survey, words: str, move: str = ""
+) -> Alternative:
     """A layout against the rules and its tolerances where it has some, else by its worst point."""
-    demands, built, broken = Demands.of(problem.file), problem.built, site.broken_rules(survey)
+    demands, built, broken = Tolerances.of(problem.file), problem.built, site.broken_rules(survey)
     if demands:
-        kept = judged(survey, demands, built)
+        check = judged(survey, demands, built)
         losses = losses_of(survey, demands, built)
-        ratio = max([kept.ratio, *([loss.ratio for loss in losses] if demands.robust != "no" else [])])
-        judgement = verdict(demands, kept, losses, broken)
+        ratio = max([check.ratio, *([loss.ratio for loss in losses] if demands.robust != "no" else [])])
+        judgement = verdict(demands, check, losses, broken)
         return Alternative(words, survey, judgement.words, ratio, judgement.reached, move)
-    kept = judged(survey, Demands(dict.fromkeys(survey.target_names, np.inf)), built)
+    check = judged(survey, Tolerances(dict.fromkeys(survey.target_names, np.inf)), built)
     rules = f"it breaks a rule ({words_of(broken)}); " if broken else ""
-    if not kept.radius or kept.unseen:
-        return Alternative(words, survey, rules + kept.remains, np.inf, False, move)
-    worst = max(kept.radius, key=lambda name: kept.radius[name])
-    size = kept.radius[worst]
-    said = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
-    return Alternative(words, survey, said, size, not broken, move)
+    if not check.radius or check.unseen:
+        return Alternative(words, survey, rules + check.remaining, np.inf, False, move)
+    worst = max(check.radius, key=lambda name: check.radius[name])
+    size = check.radius[worst]
+    text = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
+    return Alternative(words, survey, text, size, not broken, move)

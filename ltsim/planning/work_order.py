@@ -36,7 +36,7 @@ COMMON = 3
 
 
 @dataclass(frozen=True)
-class Tape:
+class TapeDistance:
     """A distance along the floor, from under the head to under a point, or straight from the head to a reflector."""
 
     to: str
@@ -46,20 +46,20 @@ class Tape:
     floor: bool
 
     @classmethod
-    def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> Tape:
+    def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
         """From an instrument at `station` (3,) [m]."""
         gap = place - station
         return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
 
 
 @dataclass(frozen=True)
-class Setting:
+class StationSetup:
     """One station of the work."""
 
     name: str
     height: float
     """[m]: of the head's centre above the floor."""
-    tapes: tuple[Tape, ...]
+    tapes: tuple[TapeDistance, ...]
     """Three, which meet in one point unless `lacking` says otherwise."""
     lacking: str
     """Deficiency of the tapes in fixing the place, as a sentence; empty where they fix it."""
@@ -73,7 +73,7 @@ class Setting:
     """Duration of the pointings [min]."""
 
 
-def settings_of(plan: PlannedNetwork) -> tuple[Setting, ...]:
+def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
     """The stations of a plan in the order of the work."""
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
@@ -81,31 +81,31 @@ def settings_of(plan: PlannedNetwork) -> tuple[Setting, ...]:
     sigma = survey.noise(sightings) * survey.used
     flat = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
-    found = []
+    settings = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
         at = survey.station_names.index(name)
-        place, seen = survey.position[at], survey.seen[at]
+        place, visible = survey.position[at], survey.visible[at]
         order = list(dict.fromkeys(recording.target[rows].tolist()))
         again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
         limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
-        tapes = _tapes(_marks(plan, place, seen), place)
-        found.append(
-            Setting(
+        tapes = _tapes(_marks(plan, place, visible), place)
+        settings.append(
+            StationSetup(
                 name=name,
                 height=float(place[2]),
                 tapes=tapes,
                 lacking=lacking(tapes, place),
-                towards=_towards(plan, place, float(survey.yaw[at]), seen),
+                towards=_towards(plan, place, float(survey.yaw[at]), visible),
                 order=tuple(recording.targets[t] for t in order),
                 again={recording.targets[t]: value for t, value in limit.items()},
                 minutes=len(rows) * survey.seconds_per_pointing / 60.0,
             )
         )
-    return tuple(found)
+    return tuple(settings)
 
 
-def _marks(plan: PlannedNetwork, place: Floats, seen: Bools) -> list[Tape]:
+def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
     """Marks that a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
 
     Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
@@ -116,21 +116,25 @@ def _marks(plan: PlannedNetwork, place: Floats, seen: Bools) -> list[Tape]:
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
     plumbed = [*((name, point) for name, point in targets if point[2] <= REACH), *corners]
-    level = [Tape.of(name, point, place, floor=True) for name, point in plumbed]
+    level = [TapeDistance.of(name, point, place, floor=True) for name, point in plumbed]
     if obstacles is not None:
         ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
         blocked = obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
-    known = {mark.to for mark in level}
-    straight = [Tape.of(*targets[t], place, floor=False) for t in np.flatnonzero(seen) if targets[t][0] not in known]
+    reachable = {mark.to for mark in level}
+    straight = [
+        TapeDistance.of(*targets[t], place, floor=False)
+        for t in np.flatnonzero(visible)
+        if targets[t][0] not in reachable
+    ]
     every = [mark for mark in (*level, *straight) if mark.metres > NEAR]
     return sorted(every, key=lambda mark: (mark.metres > TAPE, not mark.floor, mark.metres))[:MOST_MARKS]
 
 
-def _tapes(marks: Sequence[Tape], place: Floats) -> tuple[Tape, ...]:
+def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
     """Three distances that cross well, are short and meet in one point only, the station's; else the firmest three."""
 
-    def worth(three: tuple[Tape, ...]) -> tuple[bool, bool, float]:
+    def worth(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
         firm, good = firmness(three, place), not lacking(three, place)
         longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
         return good, good and longest <= TAPE, firm - good * (BORED * longest + STRAIGHT * straight)
@@ -138,13 +142,13 @@ def _tapes(marks: Sequence[Tape], place: Floats) -> tuple[Tape, ...]:
     return max(combinations(marks, 3), key=worth, default=tuple(marks))
 
 
-def firmness(three: Sequence[Tape], place: Floats) -> float:
+def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
     """By how much distances change at least for a step on the floor: the least singular value of their slopes."""
     slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
-def lacking(tapes: Sequence[Tape], place: Floats) -> str:
+def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
     """Deficiency of distances, read within `READ`, in giving one place and no other, as a sentence; empty for none."""
     if len(tapes) < 3:
         return "Fewer than three points can be taped to: mark its place by another way."
@@ -163,13 +167,13 @@ def lacking(tapes: Sequence[Tape], place: Floats) -> str:
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
 
 
-def _towards(plan: PlannedNetwork, place: Floats, yaw: float, seen: Bools) -> str:
+def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
     """Direction of azimuth zero: the target in sight that is nearest to it, and the angle between them."""
     survey = plan.chosen.survey
-    way = survey.points[seen] - place
+    way = survey.points[visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
     best = int(np.argmin(np.abs(off)))
-    name = survey.target_names[np.flatnonzero(seen)[best]]
+    name = survey.target_names[np.flatnonzero(visible)[best]]
     degrees = round(abs(float(off[best])) / DEGREE)
     return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
 
@@ -177,18 +181,20 @@ def _towards(plan: PlannedNetwork, place: Floats, yaw: float, seen: Bools) -> st
 def checks(plan: PlannedNetwork) -> list[str]:
     """Checks in the order of the work, a sentence each."""
     survey, file = plan.chosen.survey, plan.file
-    found = [
+    sentences = [
         f"Before the first pointing: the tracker is warm, its own checks are passed, the air has the planned "
         f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
-        f"At every station, before its first pointing: the head stands within {file.stations.play_mm:g} mm of its "
-        "place, and every point of its list is in sight.",
+        "At every station, before its first pointing: the head is within "
+        f"{file.stations.position_tolerance_mm:g} mm of its planned position, and every point of its list is visible.",
         "At the end of every station: measure the points under 'again' once more; where one is off by more than "
         "stated, the tripod or the point has moved, and the station is measured anew.",
     ]
     if len(survey.faces) == 2:
-        found.append("In both faces: the two readings of a point differ as those of the others do; else one is a slip.")
+        sentences.append(
+            "In both faces: the two readings of a point differ as those of the others do; else one is a slip."
+        )
     if len(survey.position) > 1:
-        found.append(
+        sentences.append(
             "Before the second station and each later one is left: ltsim adjust of all so far suspects no pointing."
         )
-    return found
+    return sentences

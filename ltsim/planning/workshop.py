@@ -12,7 +12,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import misalignment
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import WALLS, PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
@@ -55,7 +55,7 @@ def survey_of(scenario: Scenario) -> Survey:
         position=layout.position,
         yaw=np.arctan2(layout.rotation[:, 1, 0], layout.rotation[:, 0, 0]),
         points=layout.points,
-        seen=visibility_of(scenario, layout).visible,
+        visible=visibility_of(scenario, layout).visible,
         faces=tuple(range(1, work.faces + 1)),
         repeats=work.repeats,
         seconds_per_pointing=work.seconds_per_pointing,
@@ -76,20 +76,20 @@ def _rank(recording: Recording, layout: Layout) -> Ints:
     return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
 
 
-def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> Site:
+def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> SearchSpace:
     """The freedom of a plan with a number of stations and a way of measuring."""
     survey, layout, mm = survey_of(scenario), planned(scenario), MILLIMETRE
     levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
     areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
     longest = max(np.linalg.norm(area.outline[:, None] - survey.points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
-    wanted = plan.stations.seen_from
+    wanted = plan.stations.min_stations_per_target
     least = stations if wanted == "all" else min(wanted, stations)
     if not survey.is_whole and least < SIGHTS:
         if stations < SIGHTS or plan.asks_for_sights:
             raise SetupError(f"ranges alone place a reflector from {SIGHTS} stations, not from {least}; ask for more")
         least = SIGHTS
-    return Site(
+    return SearchSpace(
         survey=with_stations(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
@@ -101,11 +101,11 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         areas=areas,
         keep_outs=keep_outs,
         limits=sight_limits(scenario, scenario.instrument),
-        play=plan.stations.play_mm * mm,
+        position_tolerance=plan.stations.position_tolerance_mm * mm,
         aimed=~layout.reaimed,
         obstacles=obstacles_of(scenario),
         spacing=plan.stations.spacing_mm * mm,
-        least=least,
+        min_sights=least,
         fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
         nests=places,
         nest_names=names,
@@ -118,15 +118,15 @@ def fewest_sights(scenario: Scenario) -> int:
     return 1 if scenario.instrument.observables == OBSERVABLES else SIGHTS
 
 
-def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, Site]:
+def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
     """A plan for a layout that is not searched, and its freedom, whose survey is that layout, with its sights.
 
     Where the plan does not say from how many stations a reflector must be seen, the fewest that place it are enough.
     """
-    asked = file if file.asks_for_sights else file.with_seen_from(fewest_sights(scenario))
+    asked = file if file.asks_for_sights else file.with_min_stations(fewest_sights(scenario))
     work = scenario.work
     site = site_of(asked, scenario, stations=len(scenario.stations), faces=work.faces, repeats=work.repeats)
-    return asked, site.replace(survey=site.survey.replace(seen=site.seen(site.survey.position)))
+    return asked, site.replace(survey=site.survey.replace(visible=site.visible(site.survey.position)))
 
 
 def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
@@ -150,7 +150,7 @@ def with_stations(survey: Survey, count: int) -> Survey:
         station_names=tuple(names[:count]),
         position=survey.position[index] + shift,
         yaw=survey.yaw[index] + np.arange(count) // have,
-        seen=survey.seen[index],
+        visible=survey.visible[index],
         rank=None if rank is None else rank[index],
     )
 
@@ -178,9 +178,9 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
         triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
         triangles = np.concatenate([part.triangles for part in bodies_of(scenario) if part.name == body])
-    reach, apart = plan.reflectors.reach_mm * MILLIMETRE, plan.reflectors.apart_mm * MILLIMETRE
-    found = nest_places(triangles, reach, apart, obstacles_of(scenario), closed=body != WALLS)
-    return np.asarray(np.round(found / MILLIMETRE))
+    standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
+    places = nest_places(triangles, standoff, spacing, obstacles_of(scenario), closed=body != WALLS)
+    return np.asarray(np.round(places / MILLIMETRE))
 
 
 def staying(plan: PlanFile, scenario: Scenario) -> Bools:
@@ -188,19 +188,19 @@ def staying(plan: PlanFile, scenario: Scenario) -> Bools:
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
-    return _kept(plan, scenario, names, [point.name for point in plan.listed])
+    return _is_fixed(plan, scenario, names, [point.name for point in plan.listed])
 
 
 def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
     """(T,): targets of a survey whose places are no matter of choice: all that is not free or called movable."""
     free = plan.reflectors.movable
     demanded = [point.name for point in plan.listed if point.name not in free and point.group not in free]
-    return _kept(plan, scenario, survey.target_names, demanded)
+    return _is_fixed(plan, scenario, survey.target_names, demanded)
 
 
-def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
-    kept = {*plan.reflectors.keep, *listed, *(scenario.gauge.targets if scenario.gauge else ())}
-    return np.array([name in kept for name in names], dtype=bool)
+def _is_fixed(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
+    fixed = {*plan.reflectors.keep, *listed, *(scenario.gauge.targets if scenario.gauge else ())}
+    return np.array([name in fixed for name in names], dtype=bool)
 
 
 def objective_of(plan: PlanFile, survey: Survey) -> Objective:

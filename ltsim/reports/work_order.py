@@ -57,7 +57,7 @@ def _blocks(plan: Plan) -> list[Block]:
 
 def _before(plan: Plan) -> list[Block]:
     """Proposals to move or add a reflector before the work."""
-    worth = [change for change in plan.changes.told if change.do != "remove"]
+    worth = [change for change in plan.changes.reported if change.do != "remove"]
     if not worth:
         return []
     lines = [f"{c.deed}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]

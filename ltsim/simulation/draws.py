@@ -36,20 +36,20 @@ class EffectLaw:
     effect: Effect
     mean: Floats
     sigma: Floats
-    """(q,) [SI] each; sigma is 0 for what is stated."""
+    """(q,) [SI] each; sigma is 0 for a declared value."""
     number: int = 1
-    """Tells it from others like it at the same place, from 1."""
+    """Index among identical effects at the same place, from 1."""
 
     @property
     def upward(self) -> Bools:
-        """(q,): added variances and what is never negative."""
+        """(q,): flags of added variances and other values that are never negative."""
         kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
 def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
-    """The laws of a scenario's effects, which are in the order of its entries; behind them the reflectors' error."""
-    seen, laws = Counter[tuple[str, str]](), []
+    """Distributions of the effects of a scenario, in the order of its entries, then that of the reflectors' error."""
+    counts, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
         given = {} if entry is None else entry.values
@@ -58,24 +58,24 @@ def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[Effect
             mean = reflector_error(scenario)
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
-        seen[effect.name, effect.place] += 1
-        laws.append(EffectLaw(effect, mean, sigma, seen[effect.name, effect.place]))
+        counts[effect.name, effect.place] += 1
+        laws.append(EffectLaw(effect, mean, sigma, counts[effect.name, effect.place]))
     return tuple(laws)
 
 
 @dataclass(frozen=True)
 class Normal:
-    """Standard normal numbers (size, B) of trials (B,) of a seed, by what they are for."""
+    """Standard normal numbers (size, B) of trials (B,) of a seed, by stream key."""
 
     seed: int
     trials: Ints
 
     def __call__(self, size: int, *what: str | int) -> Floats:
-        """The numbers (size, B) that are for something."""
+        """Numbers (size, B) of a stream key."""
         return trials_normal(self.seed, self.trials, size, *what)
 
-    def one_by_one(self) -> list[Normal]:
-        """Numbers of each trial separately; those in common are drawn once."""
+    def per_trial(self) -> list[Normal]:
+        """Sources of single trials; shared draws are cached."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
@@ -128,7 +128,7 @@ class TrialDraws:
     certificate_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
-    def draw(self, numbers: Normal, values: Floats | None = None, *, apart: str = "") -> Draw:
+    def draw(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Draw:
         """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given.
 
         `apart` is a word that tells the noise from that of the same trials in another place.
@@ -136,40 +136,40 @@ class TrialDraws:
         Raises SetupError when an effect leaves a variance below zero.
         """
         amounts = tuple(self._amounts(law, numbers) for law in self.effects)
-        own = (apart, "noise") if apart else ("noise",)
+        noise_key = (stream_key, "noise") if stream_key else ("noise",)
         sigma, count = self.noise_sigma(amounts), len(self.sightings)
         white = np.empty((count, len(OBSERVABLES), len(numbers.trials)))
         for column, name in enumerate(OBSERVABLES):
-            np.multiply(sigma[:, column], numbers(count, *own, name), out=white[:, column])
+            np.multiply(sigma[:, column], numbers(count, *noise_key, name), out=white[:, column])
         errors = self._values(numbers) if values is None else values
         return Draw(numbers.trials, errors, amounts, white, self._certified(amounts, numbers))
 
     def _values(self, numbers: Normal) -> Floats:
         values = np.repeat(self.mean[:, :, None], len(numbers.trials), axis=2)
         for i, name in enumerate(self.instruments):
-            own = ("instrument", name) if name else ("instrument",)
+            key = ("instrument", name) if name else ("instrument",)
             for k in np.flatnonzero(self.sigma[i]):
-                values[i, k] += self.sigma[i, k] * numbers(1, *own, self.construction.names[k])[0]
+                values[i, k] += self.sigma[i, k] * numbers(1, *key, self.construction.names[k])[0]
         return values
 
     def _amounts(self, law: EffectLaw, numbers: Normal) -> Floats:
         amounts = np.repeat(law.mean[:, None], len(numbers.trials), axis=1)
         for k in np.flatnonzero(law.sigma):
-            own = (law.effect.name, law.effect.place, law.number, law.effect.parameters[k].name)
-            drawn = numbers(1, "effect", *own)[0]
+            key = (law.effect.name, law.effect.place, law.number, law.effect.parameters[k].name)
+            drawn = numbers(1, "effect", *key)[0]
             amounts[k] += law.sigma[k] * (np.abs(drawn) if law.upward[k] else drawn)
         return amounts
 
     def noise_sigma(self, amounts: tuple[Floats, ...]) -> Floats:
         """True standard deviation of the noise, (n, 3, 1) or, where effects on it differ by trial, (n, 3, B)."""
         on_noise = [
-            (law.effect, own)
-            for law, own in zip(self.effects, amounts, strict=True)
+            (law.effect, amount)
+            for law, amount in zip(self.effects, amounts, strict=True)
             if isinstance(law.effect, NoiseEffect)
         ]
-        alike = all(np.all(own == own[:, :1]) for _, own in on_noise)
-        trials = range(1 if alike else on_noise[0][1].shape[1])
-        return np.stack([self._with_effects([(e, own[:, k]) for e, own in on_noise]) for k in trials], axis=2)
+        constant = all(np.all(amount == amount[:, :1]) for _, amount in on_noise)
+        trials = range(1 if constant else on_noise[0][1].shape[1])
+        return np.stack([self._with_effects([(e, amount[:, k]) for e, amount in on_noise]) for k in trials], axis=2)
 
     def _with_effects(self, on_noise: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
         sigma = self.noise
@@ -182,23 +182,23 @@ class TrialDraws:
 
     def _certified(self, amounts: tuple[Floats, ...], numbers: Normal) -> Floats:
         """The certificates: of the true coefficient and temperature, which are not those that are stated."""
-        known = self.lengths
-        growth = np.repeat(known.factor[:, None], len(numbers.trials), axis=1)
-        for name, change in known.shared.items():
-            growth += (change / (known.length / known.factor))[:, None] * numbers(1, name)
-        length = known.length[:, None] + self.longer(amounts)
+        lengths = self.lengths
+        growth = np.repeat(lengths.factor[:, None], len(numbers.trials), axis=1)
+        for name, change in lengths.shared.items():
+            growth += (change / (lengths.length / lengths.factor))[:, None] * numbers(1, name)
+        length = lengths.length[:, None] + self.longer(amounts)
         draws = [
-            numbers(1, "cmm", self.names[a], self.names[b]) for a, b in zip(known.first, known.second, strict=True)
+            numbers(1, "cmm", self.names[a], self.names[b]) for a, b in zip(lengths.first, lengths.second, strict=True)
         ]
         white = np.reshape(draws, growth.shape)
-        error = self.certificate_factor * known.certificate[:, None] * white
+        error = self.certificate_factor * lengths.certificate[:, None] * white
         return CERTIFIED * np.round((length / growth + error) / CERTIFIED)
 
     def longer(self, amounts: tuple[Floats, ...]) -> Floats:
         """(g, B) or (g, 1) [m]: what effects add to the true lengths."""
-        known, total = self.lengths, np.zeros((len(self.lengths.length), 1))
-        for law, own in zip(self.effects, amounts, strict=True):
-            design = law.effect.gauge_design(known.first, known.second, self.sightings.points)
+        lengths, total = self.lengths, np.zeros((len(self.lengths.length), 1))
+        for law, amount in zip(self.effects, amounts, strict=True):
+            design = law.effect.gauge_design(lengths.first, lengths.second, self.sightings.points)
             if np.any(design):
-                total = total + design @ own
+                total = total + design @ amount
         return total

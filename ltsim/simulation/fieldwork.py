@@ -24,7 +24,7 @@ from ltsim.simulation.workshop import Layout, planned, visibility_of
 NOTES = 20
 """Pairs that do not see each other are named one by one up to this number."""
 LEVEL_GAP = 0.5
-"""Heights further apart than this [m] are different levels."""
+"""Smallest height difference [m] between two levels."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
     position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
     draws = np.array([stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations])
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
-    tilt = [placing.tilt_deg * DEGREE if own is None else own for own in levelled]
+    tilt = [placing.tilt_deg * DEGREE if tilt_of_station is None else tilt_of_station for tilt_of_station in levelled]
     leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
     yaws = np.array([about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
     position += placing.station_mm * MILLIMETRE * draws[:, :3]
@@ -99,15 +99,15 @@ def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
     if len(lost) <= NOTES:
         return tuple(lost)
     reasons = Counter(reason for line in table.kinds() for reason in line if reason)
-    told = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {told}",)
+    counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {counts}",)
 
 
 def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:
-    """The pointings in the order of the work, without targets that nobody sees."""
-    kept = np.flatnonzero(visible.any(axis=0))
+    """Pointings in the order of the work, without targets that no station sees."""
+    pointed = np.flatnonzero(visible.any(axis=0))
     renumbered = np.full(len(layout.targets), -1)
-    renumbered[kept] = np.arange(len(kept))
+    renumbered[pointed] = np.arange(len(pointed))
     visits = [_visit(scenario, layout, s, visible[s], seed, *key) for s in range(len(layout.stations))]
     station = np.repeat(np.arange(len(visits)), [len(visit) for visit in visits])
     target, face, repeat = np.concatenate(visits).T
@@ -125,11 +125,11 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
         time=time,
         position=layout.position,
         rotation=layout.rotation,
-        points=layout.points[kept],
-        nest_normal=layout.nest_normal[kept],
-        reaimed=layout.reaimed[kept],
+        points=layout.points[pointed],
+        nest_normal=layout.nest_normal[pointed],
+        reaimed=layout.reaimed[pointed],
         station_names=layout.stations,
-        target_names=tuple(layout.targets[k] for k in kept),
+        target_names=tuple(layout.targets[k] for k in pointed),
         covariates=_air(scenario, time),
     )
 
@@ -205,9 +205,9 @@ def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | i
             f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
             "[smr] names one of them"
         )
-    known = np.isfinite(sightings.nest_normal[:, 0])
+    aimed = np.isfinite(sightings.nest_normal[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]
-    bare = [name for name, has_normal in zip(sightings.target_names, known, strict=True) if not has_normal]
+    bare = [name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal]
     with as_setup_error():
         lengths = excess_of(names, targets, bare, reflectors, scenario.reference_radius_mm)
     for name in dict.fromkeys(names):

@@ -68,17 +68,17 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
             message = "the paper's gauge has four; state the lengths of another one as [[gauge.distance]]"
             raise SetupError(f"gauge.targets: holds {len(names)} reflectors, but {message}")
         return list(TABLE_2[gauge.reading])
-    stated: dict[frozenset[str], float] = {}
+    certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
-        if len(key) != 2 or not key <= set(names) or key in stated:
-            problem = "is there twice" if key in stated else "is no pair of two of gauge.targets"
+        if len(key) != 2 or not key <= set(names) or key in certificates:
+            problem = "is there twice" if key in certificates else "is no pair of two of gauge.targets"
             raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
-        stated[key] = line.length_mm
+        certificates[key] = line.length_mm
     for a, b in pairs:
-        if frozenset((names[a], names[b])) not in stated:
+        if frozenset((names[a], names[b])) not in certificates:
             raise SetupError(f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(pairs)}")
-    return [stated[frozenset((names[a], names[b]))] for a, b in pairs]
+    return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
 
 
 def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:

@@ -1,8 +1,7 @@
-"""A cause put into the readings of a recording that exists: its change by the exact model, and nothing else.
+"""Injection of an effect into an existing recording: its predicted change is added to the readings.
 
-Everything else of the recording stays: its noise, its slips, its instrument. The change is that of the cause at the
-pointings as the adjustment of the recording has them; how far these are from the truth changes it by their share of a
-range, 1e-4 for 1 mm in 10 m.
+Noise, outliers and the instrument stay. The change is that of the effect at the adjusted pointings of the recording;
+their error changes it by its share of a range, 1e-4 for 1 mm in 10 m.
 """
 
 from collections.abc import Mapping
@@ -89,7 +88,7 @@ class InjectionTruth(Result):
 
 
 class Injection(NamedTuple):
-    """A recording with something in it and, apart from it, what was put in."""
+    """Recording with an injected effect, and the injected effect separately."""
 
     recording: Recording
     truth: InjectionTruth
@@ -122,8 +121,8 @@ class InjectionCurve(Result):
     rows: tuple[Mapping[str, float], ...]
 
     def _lines(self) -> list[str]:
-        told = ", ".join(self.background) or "nothing"
-        lines = [f"{self.words}, put into the recording; told without it: {told}"]
+        reported = ", ".join(self.background) or "nothing"
+        lines = [f"{self.words}, put into the recording; told without it: {reported}"]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: found {row['found']}, placed {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
@@ -151,8 +150,8 @@ class Injector:
         sightings, readings = self.space.sightings, self.recording.readings
         if not isinstance(cause, Mistake):
             return cause.shift(sightings, values)
-        done, own = cause.done(sightings), self.state.instrument
-        errors = own[0] if len(own) == 1 else own[sightings.instrument]
+        done, instrument = cause.done(sightings), self.state.instrument
+        errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.space.adjustment.problem.model.construction
         moved, plain = (construction.readings(s.local, s.face, errors) for s in (done, sightings))
         change: Floats = cause.written(sightings, readings + moved - plain) - readings
@@ -180,8 +179,8 @@ class Injector:
             return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
         change = np.nan_to_num(self.change(cause, values))
         whole = space.whiten(change[:, :, None], self.lengths(cause, values)[:, None])[:, 0]
-        left = space.project(whole)
-        square = float(left @ left)
+        projected = space.project(whole)
+        square = float(projected @ projected)
         return square if square > VISIBLE * float(whole @ whole) else 0.0
 
     def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
@@ -190,12 +189,14 @@ class Injector:
             raise ModelError(f"{cause.name} is made or not: it has no size that could be chosen")
         factor, bound = 1.0, LARGEST * np.sqrt(wanted)
         for _ in range(ROUNDS):
-            found = self.noncentrality(cause, factor * values)
-            if not found > 0.0 or (found < (1.0 + CLOSE) * wanted and self._peak(cause, factor * values) > bound):
+            noncentrality = self.noncentrality(cause, factor * values)
+            if not noncentrality > 0.0 or (
+                noncentrality < (1.0 + CLOSE) * wanted and self._peak(cause, factor * values) > bound
+            ):
                 break
-            if abs(found / wanted - 1.0) < CLOSE:
+            if abs(noncentrality / wanted - 1.0) < CLOSE:
                 return factor * values
-            factor *= float(np.clip(np.sqrt(wanted / found), 1e-3, 1e3))
+            factor *= float(np.clip(np.sqrt(wanted / noncentrality), 1e-3, 1e3))
         raise ModelError(f"the network hides {cause.name} {cause.place}: at no sensible size it leaves {wanted:g}")
 
     def _peak(self, cause: Tunable, values: Floats) -> float:
@@ -216,15 +217,17 @@ class Injector:
                 f"{words}: changes no reading; expected a place that is measured (after the time, where one is given)"
             )
         if lengths.any():
-            known = self.space.adjustment.problem.gauge
+            gauge = self.space.adjustment.problem.gauge
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
                 raise ModelError(f"{cause.name}: the lengths of scale bars cannot be changed, those of a gauge can")
             certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = certified_by(made, certified + lengths * certified / known.length)
+            made = certified_by(made, certified + lengths * certified / gauge.length)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
-        told = dict(zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True))
-        return made, Injected(cause, words, values, self.noncentrality(cause, values), told)
+        largest_by_observable = dict(
+            zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
+        )
+        return made, Injected(cause, words, values, self.noncentrality(cause, values), largest_by_observable)
 
     def after(self, recording: Recording) -> Self:
         """The same for a recording that something was put into already."""

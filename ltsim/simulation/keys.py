@@ -16,8 +16,8 @@ KINDS: tuple[Kind, ...] = ("number", "integer", "boolean", "string")
 
 def kind_of(key: str) -> Kind:
     """The kind of value at a dotted key; `table` for lists and tables, and for what no scenario has."""
-    found = {_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
-    return next((kind for kind in KINDS if kind in found), "table")
+    kinds = {_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
+    return next((kind for kind in KINDS if kind in kinds), "table")
 
 
 def meaning_of(key: str) -> str:
@@ -40,8 +40,8 @@ def unit_of(scenario: Scenario, key: str) -> str:
             return built.parameters[built.index(last)].unit
         if parents[:1] == ["effects"] and parents[2:] in (["values"], ["shape"]):
             kind = find_effect(scenario.effects[int(parents[1]) - 1].name)
-            own = kind.parameters if parents[2] == "values" else kind.shape
-            return next((entry.unit for entry in own if entry.name == last), "")
+            parameters = kind.parameters if parents[2] == "values" else kind.shape
+            return next((entry.unit for entry in parameters if entry.name == last), "")
     except (LtsimError, ValueError, IndexError):
         return ""
     return unit_of_key(last)
@@ -55,10 +55,10 @@ def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
     unit = unit_of(scenario, key)
-    found = in_unit(value, unit) if unit else None
-    if unit and found is None:
+    number = in_unit(value, unit) if unit else None
+    if unit and number is None:
         raise SetupError(f"{where}: {key} is '{shown(value)}', but it is in {unit}: write a number, or one of {unit}")
-    return value if found is None else found
+    return value if number is None else number
 
 
 def value_at(table: dict[str, Any], key: str) -> Any:

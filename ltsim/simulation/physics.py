@@ -44,18 +44,18 @@ def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floa
 
 
 def _law(instrument: ScenarioInstrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
-    stated = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
-    for error in stated:
+    errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
+    for error in errors:
         with as_setup_error(f"{table_name(name)}.errors.{error}"):
             construction.index(error)
     parameters = construction.parameters
-    mean = np.array([stated.get(p.name, 0.0) * p.factor for p in parameters])
-    free = [instrument.draws and p.name not in stated for p in parameters]
+    mean = np.array([errors.get(p.name, 0.0) * p.factor for p in parameters])
+    free = [instrument.draws and p.name not in errors for p in parameters]
     prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
     return mean, np.where(free, instrument.error_factor * prior, 0.0)
 
 
-def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
+def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
     trackers = scenario.trackers.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]

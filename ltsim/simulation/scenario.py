@@ -59,7 +59,7 @@ class Scenario(TomlSection, Result):
     base: str | None = None
     """A built-in scenario whose tables hold below those of this file; "none" in place of a table takes it out."""
     workshop: Workshop = Workshop()
-    """The room, its air, what stands in it."""
+    """Room, air and obstacles."""
     placing: Placing = Placing()
     """Standard deviations of the true places about the plan."""
     instrument: ScenarioInstrument = ScenarioInstrument()
@@ -69,7 +69,7 @@ class Scenario(TomlSection, Result):
     smr: Smr = Smr()
     """The reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with radii of their own, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
+    """SMRs with a separate radius, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
     the nest's normal, and true radii are drawn with the places."""
     reference_radius_mm: NonNegative | None = None
     """Planned places are centres of an SMR of this radius, 0 for the seats; as in `setup.toml`, which takes it over."""
@@ -134,7 +134,7 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
         whole = with_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
         scenario = checked(whole, Scenario, "scenario", file)
     _check(scenario, file)
-    return _with_files_beside(_in_use(scenario, file), file)
+    return _resolve_paths(_in_use(scenario, file), file)
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
@@ -245,7 +245,7 @@ def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[st
             "stations": tuple(name for name in entry.stations if name in stations),
             "targets": tuple(name for name in entry.targets if name in targets),
         }
-        if all(bool(left) == bool(getattr(entry, kind)) for kind, left in here.items()):
+        if all(bool(value) == bool(getattr(entry, kind)) for kind, value in here.items()):
             yield entry.model_copy(update=here)
 
 
@@ -268,10 +268,10 @@ def spread_order(places: Floats) -> list[int]:
     return order
 
 
-def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:
+def _resolve_paths(scenario: Scenario, file: Path) -> Scenario:
     """CAD files are named from the folder of the scenario, or lie in it."""
     obstacles = tuple(
-        o if o.file is None else o.model_copy(update={"file": str(_beside(o.file, file.parent))})
+        o if o.file is None else o.model_copy(update={"file": str(_local_path(o.file, file.parent))})
         for o in scenario.workshop.obstacles
     )
     if not any(o.file for o in obstacles):
@@ -279,7 +279,7 @@ def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:
     return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": obstacles})})
 
 
-def _beside(name: str, folder: Path) -> Path:
+def _local_path(name: str, folder: Path) -> Path:
     named, copied = folder / name, folder / Path(name).name
     return copied if copied.is_file() and not named.is_file() else named
 
@@ -295,10 +295,10 @@ def _check(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {problem}")
 
 
-def _unlisted(key: str, name: str, known: Collection[str], none: str = "") -> Iterator[str]:
+def _unlisted(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
     """A sentence where a name is not among those that are known; `none` stands for an empty list."""
-    if name not in known:
-        listed = ", ".join([*known][:MOST_LISTED]) + (" ..." if len(known) > MOST_LISTED else "")
+    if name not in existing:
+        listed = ", ".join([*existing][:MOST_LISTED]) + (" ..." if len(existing) > MOST_LISTED else "")
         yield f"{key} names '{shown(name)}', which is not one of {listed or none}"
 
 
@@ -330,11 +330,11 @@ def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
     if "" not in scenario.trackers and scenario.instrument != ScenarioInstrument():
         yield "instrument is stated but stands nowhere: every station names an instrument of its own"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
-    (first, one), *others = designs.items()
+    (first, first_design), *others = designs.items()
     for name, other in others:
-        if other != one:
-            found = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
-            yield f"instruments hold different constructions ({found}); one recording has one, with one order"
+        if other != first_design:
+            designs_named = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
+            yield f"instruments hold different constructions ({designs_named}); one recording has one, with one order"
 
 
 def _wrong_places(scenario: Scenario) -> Iterator[str]:
@@ -360,8 +360,8 @@ def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
         if length.from_ == length.to:
             yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
         if length.material is not None:
-            stated = "none, and a table [materials.NAME] states one"
-            yield from _unlisted(f"lengths.{i}.material", length.material, scenario.materials, stated)
+            none_hint = "none, and a table [materials.NAME] states one"
+            yield from _unlisted(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
             yield f"lengths.{i}.measured_at_c is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
 

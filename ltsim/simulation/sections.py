@@ -1,4 +1,4 @@
-"""The tables of a scenario file (ltsim-scenario/1). Keys carry their units; whoever needs SI converts at the door."""
+"""Tables of a scenario file (ltsim-scenario/1). Keys carry their units; callers convert to SI."""
 
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -53,14 +53,14 @@ misalignments that a knock leaves.
 """
 
 
-def _known_preset(name: str) -> str:
+def _existing_preset(name: str) -> str:
     if name not in PRESETS and name not in sheet_names():
         raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {sheet_names()[0]}")
     return name
 
 
 class Obstacle(TomlSection):
-    """Something that stands in the workshop: a CAD file, or a box or an upright cylinder on its place."""
+    """Obstacle in the workshop: a CAD file, or a box or an upright cylinder at a place."""
 
     name: str = ""
     """Name in messages and pictures."""
@@ -82,7 +82,7 @@ class Obstacle(TomlSection):
     """Turn about the vertical."""
 
     @model_validator(mode="after")
-    def _one_shape(self) -> Self:
+    def _single_shape(self) -> Self:
         if sum(shape is not None for shape in (self.file, self.box_mm, self.cylinder_mm)) != 1:
             raise ValueError("it should have one of file, box_mm and cylinder_mm")
         return self
@@ -154,7 +154,7 @@ class PointingLimits(Limits):
 class ScenarioInstrument(TomlSection):
     """The tracker: construction, its maker's specifications, and its true errors."""
 
-    preset: Annotated[str, AfterValidator(_known_preset)] = "paper"
+    preset: Annotated[str, AfterValidator(_existing_preset)] = "paper"
     """Source of all values that are not given: `paper`, `modern`, `after-transport`, or a built-in data sheet."""
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
     """Kinematic chain that makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""

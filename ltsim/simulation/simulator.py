@@ -1,4 +1,4 @@
-"""The simulator: a scenario, a seed and a trial's number give a recording, and apart from it the truth."""
+"""Simulator: recording and truth of a scenario, a seed and a trial number."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -27,7 +27,7 @@ from ltsim.recordings.setup import (
 from ltsim.simulation.draws import Normal, TrialDraws, effect_laws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork, smrs_of
 from ltsim.simulation.gauge import length_sigma, nominal_points
-from ltsim.simulation.physics import instrument_law, quantised, resolution_of, stated_noise
+from ltsim.simulation.physics import instrument_law, nominal_noise, quantised, resolution_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
@@ -50,7 +50,7 @@ def place_key(trial: int, geometry: Geometry) -> tuple[str | int, ...]:
 
 
 def measure(
-    work: Fieldwork, seed: int, trial: int = 0, *, values: Floats | None = None, apart: str = ""
+    work: Fieldwork, seed: int, trial: int = 0, *, values: Floats | None = None, stream_key: str = ""
 ) -> tuple[Recording, Truth]:
     """Draw the instrument's errors, the gauge's calibration and the noise of a trial on a fixed geometry.
 
@@ -58,8 +58,8 @@ def measure(
     """
     blank = error_free(work)
     given = None if values is None else values[:, :, None]
-    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])), given, apart=apart)
-    values, amounts = drawn.values[:, :, 0], tuple(own[:, 0] for own in drawn.amounts)
+    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])), given, stream_key=stream_key)
+    values, amounts = drawn.values[:, :, 0], tuple(amount[:, 0] for amount in drawn.amounts)
     readings = simulate_readings(work, values, amounts, drawn.noise[:, :, 0])
     recording = certified_by(blank.with_readings(readings), drawn.certified[:, 0])
     return recording, _truth(work, values, amounts, seed, trial)
@@ -68,7 +68,7 @@ def measure(
 def error_free(work: Fieldwork) -> Recording:
     """The recording of an ideal tracker and of exact certificates, with all that is stated."""
     s, scenario = work.sightings, work.scenario
-    told = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
+    has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare = Recording(
         setup=_setup(work),
         stations=s.station_names,
@@ -80,7 +80,7 @@ def error_free(work: Fieldwork) -> Recording:
         time=s.time,
         readings=s.raw,
         covariates=s.covariates,
-        labels={REFLECTOR_COLUMN: smrs_of(scenario, s)} if told else {},
+        labels={REFLECTOR_COLUMN: smrs_of(scenario, s)} if has_reflectors else {},
     )
     blank = exact_lengths(bare, work)
     return blank.replace(notes=(*work.notes, *_idle(work, ReferenceLengths.of(blank))))
@@ -96,7 +96,7 @@ def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
         instruments=tuple(scenario.trackers),
         mean=mean,
         sigma=sigma,
-        noise=stated_noise(scenario, work.sightings),
+        noise=nominal_noise(scenario, work.sightings),
         lengths=ReferenceLengths.of(blank),
         names=blank.targets,
         effects=effect_laws(scenario, work.effects),
@@ -145,11 +145,11 @@ def idle_effects(work: Fieldwork) -> Iterator[str]:
     yield from error_free(work).notes[len(work.notes) :]
 
 
-def _idle(work: Fieldwork, known: ReferenceLengths) -> Iterator[str]:
+def _idle(work: Fieldwork, lengths: ReferenceLengths) -> Iterator[str]:
     for effect in work.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
             continue
-        if np.any(effect.gauge_design(known.first, known.second, work.sightings.points)):
+        if np.any(effect.gauge_design(lengths.first, lengths.second, work.sightings.points)):
             continue
         yield f"{effect.name} changes nothing here"
 
@@ -182,12 +182,12 @@ def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
         noise=tracker.noise,
-        prior=_stated(tracker),
+        prior=_nominal_prior(tracker),
         limits=Limits(**tracker.limits.model_dump(include=set(Limits.model_fields))),
     )
 
 
-def _stated(tracker: ScenarioInstrument) -> Prior:
+def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
     kinds = tracker.prior.model_dump()
     single = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)
@@ -200,15 +200,15 @@ def _rounded(place: Vector, step: float) -> Vector:
 
 def _targets(work: Fieldwork) -> dict[str, Target]:
     scenario, s = work.scenario, work.sightings
-    known = {}
+    table = {}
     for i, name in enumerate(s.target_names):
-        own = scenario.targets[name].reflector if name in scenario.targets else None
-        known[name] = Target(
+        reflector = scenario.targets[name].reflector if name in scenario.targets else None
+        table[name] = Target(
             nest_normal=tuple(s.nest_normal[i].round(4).tolist()) if np.isfinite(s.nest_normal[i]).all() else None,
             reaimed=bool(s.reaimed[i]),
-            reflector=own or scenario.smr.reflector,
+            reflector=reflector or scenario.smr.reflector,
         )
-    return known
+    return table
 
 
 def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, trial: int) -> Truth:
@@ -250,18 +250,18 @@ def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
     if gauge is None and not scenario.lengths:
         return recording
-    known = [(line, um) for line, um in _lines(scenario) if {line.from_, line.to} <= set(recording.targets)]
-    own: dict[str, Any] = {}
+    lines_of_targets = [(line, um) for line, um in _lines(scenario) if {line.from_, line.to} <= set(recording.targets)]
+    gauge_keys: dict[str, Any] = {}
     if gauge is not None:
         warm = warm if gauge.measured_at_c is None else gauge.measured_at_c
-        own = gauge.model_dump(include=set(Gauge.model_fields) - {"distance", "measured_at_c"})
-    lines = tuple(line for line, _ in known)
-    stated = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **own)
-    blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": stated}))
+        gauge_keys = gauge.model_dump(include=set(Gauge.model_fields) - {"distance", "measured_at_c"})
+    lines = tuple(line for line, _ in lines_of_targets)
+    nominal = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **gauge_keys)
+    blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": nominal}))
     there = ReferenceLengths.of(blank)
     certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
     by_machine = length_sigma(scenario.cmm, certified).tolist()
-    sigma = [own if um is None else um * MICROMETRE for (_, um), own in zip(known, by_machine, strict=True)]
+    sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
     return certified_by(blank, certified, sigma)
 
 
@@ -283,9 +283,9 @@ def certified_by(recording: Recording, length: Floats, sigma: Sequence[float] | 
         return recording
     lines = []
     for i, (line, value) in enumerate(zip(recording.gauge.distance, length.tolist(), strict=True)):
-        stated = {"length_mm": round(value / MILLIMETRE, 12)}
+        certificate = {"length_mm": round(value / MILLIMETRE, 12)}
         if sigma is not None:
-            stated["sigma_mm"] = max(round(sigma[i] / MILLIMETRE, 6), 1e-6)
-        lines.append(line.model_copy(update=stated))
+            certificate["sigma_mm"] = max(round(sigma[i] / MILLIMETRE, 6), 1e-6)
+        lines.append(line.model_copy(update=certificate))
     gauge = recording.gauge.model_copy(update={"distance": tuple(lines)})
     return recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))

@@ -1,4 +1,4 @@
-"""The truth of a simulated recording: kept in a file of its own (ltsim-truth/1), which no calibrator opens."""
+"""Truth of a simulated recording, in a separate file (ltsim-truth/1) that no calibrator opens."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -110,10 +110,10 @@ class Truth(Result):
                 _point(name, place) | {"rotation_quaternion": quaternion(turn).tolist()}
                 for name, place, turn in zip(self.stations, self.position, self.rotation, strict=True)
             ],
-            "targets": [_point(*own) for own in zip(self.targets, self.points, strict=True)],
+            "targets": [_point(*target) for target in zip(self.targets, self.points, strict=True)],
         }
         if self.nominal is not None:
-            content["nominal"] = [_point(*own) for own in zip(self.targets, self.nominal, strict=True)]
+            content["nominal"] = [_point(*target) for target in zip(self.targets, self.nominal, strict=True)]
         return content
 
     @classmethod
@@ -250,8 +250,8 @@ def _effect_from_json(entry: _Effect, file: object) -> AppliedEffect:
         effect = entry.effect("effects")
     except SetupError as problem:
         raise RecordError(str(problem), file=file) from None
-    stated = {p.name: p.value for p in entry.parameters}
-    return AppliedEffect(effect, np.array([stated.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+    values = {p.name: p.value for p in entry.parameters}
+    return AppliedEffect(effect, np.array([values.get(p.name, 0.0) * p.factor for p in effect.parameters]))
 
 
 def write_truth(truth: Truth, path: Path) -> None:

@@ -15,7 +15,7 @@ ScenarioSource = Scenario | str | Path
 
 
 class Simulated(NamedTuple):
-    """A recording and, apart from it, what it was made from."""
+    """Recording and its truth."""
 
     recording: Recording
     truth: Truth
@@ -44,8 +44,8 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     """
     if isinstance(source, Scenario):
         return changed(source, changes, Path(source.title or "the scenario")) if changes else source
-    found = load_scenario(source)
-    return changed(found, changes, Path(source)) if changes else found
+    loaded = load_scenario(source)
+    return changed(loaded, changes, Path(source)) if changes else loaded
 
 
 def simulate(
@@ -56,7 +56,7 @@ def simulate(
     geometry: Geometry = "shared",
     changes: Mapping[str, Any] | None = None,
 ) -> Simulated:
-    """Measure a virtual workshop once: a recording, and apart from it the truth.
+    """Measure a virtual workshop once: a recording, and its truth.
 
     Parameters
     ----------

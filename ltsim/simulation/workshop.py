@@ -62,15 +62,15 @@ def planned(scenario: Scenario) -> Layout:
 def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
     """Normals (T, 3) and which reflectors are re-aimed (T,); fixed nests without a normal are aimed at the stations."""
     missing = (np.nan, np.nan, np.nan)
-    stated = [t.nest_normal or missing for t in scenario.targets.values()]
-    own = [t.reaimed for t in scenario.targets.values()]
+    normals = [t.nest_normal or missing for t in scenario.targets.values()]
+    declared = [t.reaimed for t in scenario.targets.values()]
     if scenario.gauge is not None:
-        stated += [scenario.gauge.nest_normal or missing] * len(scenario.gauge.targets)
-        own += [None] * len(scenario.gauge.targets)
-    normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
+        normals += [scenario.gauge.nest_normal or missing] * len(scenario.gauge.targets)
+        declared += [None] * len(scenario.gauge.targets)
+    normal = np.array(normals, dtype=np.float64).reshape(-1, 3)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     usual = scenario.smr.nests == "re-aimed"
-    reaimed = np.array([usual if one is None else one for one in own], dtype=bool)
+    reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():
         normal[open_] = aimed_normals(position, points[open_])[0]
@@ -162,7 +162,7 @@ def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibilit
     """Who sees whom, and why not, in a scenario as planned or with another layout; each tracker within its limits."""
     there = planned(scenario) if layout is None else layout
     obstacles = obstacles_of(scenario)
-    own = [[there.stations.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers]
+    stations_of_tracker = [[there.stations.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers]
     tables = [
         visibility(
             there.position[stations],
@@ -173,6 +173,6 @@ def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibilit
             reaimed=there.reaimed,
             obstacles=obstacles,
         )
-        for stations, tracker in zip(own, scenario.trackers.values(), strict=True)
+        for stations, tracker in zip(stations_of_tracker, scenario.trackers.values(), strict=True)
     ]
-    return in_order(tables, np.argsort(np.concatenate(own)))
+    return in_order(tables, np.argsort(np.concatenate(stations_of_tracker)))

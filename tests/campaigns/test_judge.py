@@ -36,7 +36,7 @@ def rows(scenario: Scenario) -> dict[str, list[object]]:
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
     truth = truth_of(with_far_station(levelled=True), 0, "campaign", 2)
     judge, block = Judge(truth), truth.draw(0, 2, 1)
-    assert judge.seen.sum(axis=1)[-1] == 2 and judge.fitted.tolist() == [True] * 5 + [False]
+    assert judge.visible.sum(axis=1)[-1] == 2 and judge.fitted.tolist() == [True] * 5 + [False]
     assert not judge.comparable
     recording, total = truth.recording, []
     for station in range(5):

@@ -54,7 +54,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     order = [at.target_names.index(name) for name in survey.target_names]
     there = survey.replace(position=at.position, points=at.points[order])
     reducer, slots = Reducer(there, built), np.arange(len(there.position))
-    fast = reducer.reduce(reducer.blocks(there.position, there.yaw, slots, there.seen), slots[None], targets=True)
+    fast = reducer.reduce(reducer.blocks(there.position, there.yaw, slots, there.visible), slots[None], targets=True)
     slow = LayoutInformation.of(there, built)
     assert fast.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
     known = np.sqrt(np.diag(np.linalg.inv(fast.information[0]))) * slow.prior_sigma
@@ -68,9 +68,9 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
 
 def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
     survey = survey_of(SCENE)
-    seen = survey.seen.copy()
+    seen = survey.visible.copy()
     seen[2:, 0] = False
-    lost = survey.replace(seen=seen)
+    lost = survey.replace(visible=seen)
     reducer, slots = Reducer(lost), np.arange(len(seen))
     out = reducer.reduce(reducer.blocks(lost.position, lost.yaw, slots, seen), slots[None], targets=True)
     assert not np.isfinite(out.information).any()

@@ -37,7 +37,7 @@ temperature_c = 21.5
 
 [stations]
 count = 2
-seen_from = 1
+min_stations_per_target = 1
 
 [goal]
 tolerances = [{ group = "gap", u_mm = 0.1 }]

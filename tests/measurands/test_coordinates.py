@@ -43,7 +43,7 @@ def test_each_point_alone_is_tested_by_its_own_blocks() -> None:
     own = [
         d @ np.linalg.solve((first.covariance + second.covariance)[b], d) for d, b in zip(shift, blocks, strict=True)
     ]
-    np.testing.assert_allclose([d.own_chi2 for d in found.displacements], own, rtol=1e-9)
+    np.testing.assert_allclose([d.point_chi2 for d in found.displacements], own, rtol=1e-9)
     assert not found.moved
     assert found.dof == 10
 
@@ -70,8 +70,8 @@ def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert run(["compare", *paths, "--out", str(tmp_path / "out")]) == 0
     assert "No point moved" in capsys.readouterr().out
     content = read_result(tmp_path / "out", Comparison)
-    own = [d.own_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
-    np.testing.assert_allclose([d.own_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)
+    own = [d.point_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
+    np.testing.assert_allclose([d.point_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
     assert not lt.compare(*paths).moved
     assert run(["compare", *paths, "--robust"]) == 2
@@ -120,7 +120,7 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].visible_um[1]
     moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), free=True)
     assert moved.moved == ("P4",)
-    assert moved.displacements[0].own_chi2 is None
+    assert moved.displacements[0].point_chi2 is None
 
 
 @pytest.mark.parametrize("axes", ["xyz", "xy", "z"])

@@ -36,7 +36,7 @@ def survey(faces: tuple[int, ...] = (1, 2), stations: int = 5, **changes: object
         position=POSITION[:stations],
         yaw=YAW[:stations],
         points=points,
-        seen=np.ones((stations, len(points)), dtype=bool),
+        visible=np.ones((stations, len(points)), dtype=bool),
         faces=faces,
     )
     return made.replace(**changes)

@@ -44,11 +44,11 @@ def test_sizes_along_and_across_the_beam_are_those_of_the_cards() -> None:
 def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
     file = tmp_path / "hall.toml"
-    seen = {}
+    visible = {}
     for text in (HALL, HALL + "[air]\nbeyond_mm = 15000\n"):
         file.write_text(text, encoding="utf-8")
-        seen[text] = site_of(*load_plan(file), stations=3, faces=1).survey
-    with_air, without = seen.values()
+        visible[text] = site_of(*load_plan(file), stations=3, faces=1).survey
+    with_air, without = visible.values()
     assert with_air.air == Air()
     assert without.air is None
     assert load_plan("paper-workshop")[0].air == Air()

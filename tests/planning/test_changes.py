@@ -38,7 +38,7 @@ def changed(survey: Survey, change: PlanChange) -> Survey:
     names = tuple(survey.target_names[i] for i in keep)
     if change.position_mm is not None:
         points, names = np.vstack([points, 1e-3 * np.array(change.position_mm)]), (*names, change.place)
-    return survey.replace(target_names=names, points=points, seen=np.ones((len(survey.position), len(names)), bool))
+    return survey.replace(target_names=names, points=points, visible=np.ones((len(survey.position), len(names)), bool))
 
 
 def point_error(survey: Survey, names: list[str]) -> float:
@@ -54,9 +54,9 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     objective = Objective(weights)
     found = reflector_changes(where, where.survey, STAYS, objective, misalignment())
-    assert {change.do for change in found.told} == {"move", "add", "remove"}
+    assert {change.do for change in found.reported} == {"move", "add", "remove"}
     before = measure(where.survey, objective, misalignment())[0]
-    for change in found.told[::3]:
+    for change in found.reported[::3]:
         made = changed(where.survey, change)
         common = [name for name in where.survey.target_names if name in made.target_names]
         gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
@@ -65,7 +65,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
             assert change.quality == pytest.approx(measure(made, objective, misalignment())[0] / before, rel=1e-6)
         else:
             assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
-    moves = [change.quality for change in found.told if change.do == "move"]
+    moves = [change.quality for change in found.reported if change.do == "move"]
     assert moves == sorted(moves)
     assert moves[-1] < 1.0
 
@@ -99,15 +99,15 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         )
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         file, scenario = load_plan(tmp_path / "hall.toml")
-        where = site_of(file, scenario, stations=4, faces=1).replace(least=1)
-        survey = where.survey.replace(seen=where.seen(where.survey.position))
+        where = site_of(file, scenario, stations=4, faces=1).replace(min_sights=1)
+        survey = where.survey.replace(visible=where.visible(where.survey.position))
         stays = fixed_of(file, scenario, survey)
         found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment())
         assert staying(file, scenario).all(), "the search leaves the points of a list where they are"
         assert {what for what, count in found.tried.items() if count} == {
             "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},
         }[name]  # fmt: skip
-        for change in found.told:
+        for change in found.reported:
             assert change.reflector == "" or change.reflector.startswith("W")
             assert change.serves in survey.target_names
             if change.position_mm is not None:
@@ -115,7 +115,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
                     np.linalg.norm(survey.points - 1e-3 * np.array(change.position_mm), axis=1).min()
                     >= where.reflector_spacing
                 )
-    places = [change.place for change in found.told if change.do == "move"]
+    places = [change.place for change in found.reported if change.do == "move"]
     assert len(places) == len(set(places)), "each place is told once"
 
 

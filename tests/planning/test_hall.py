@@ -15,10 +15,10 @@ from ltsim.core.errors import SetupError
 from ltsim.planning import reasons, work_order
 from ltsim.planning.files import plan_file
 from ltsim.planning.loading import load_plan, read_points
-from ltsim.planning.planner import Tried
-from ltsim.planning.site import Placement, Site
-from ltsim.planning.tolerances import Demands, Kept, radius, verdict
-from ltsim.planning.work_order import Tape, lacking, settings_of
+from ltsim.planning.planner import StationCountResult
+from ltsim.planning.site import Placement, SearchSpace
+from ltsim.planning.tolerances import ToleranceCheck, Tolerances, radius, verdict
+from ltsim.planning.work_order import TapeDistance, lacking, settings_of
 from ltsim.reports.work_order import work_order_page
 from ltsim.scene.floor import Floor, fault, ground_of, inside, may_stand
 from ltsim.scene.meshes import cylinder, together
@@ -83,10 +83,10 @@ def test_stations_begin_where_the_hall_allows_and_see_every_point(hall: Path) ->
     assert np.all(z[north] <= 2.0)  # a head needs 0.3 m under the ceiling
     assert not np.any((x > 4.0) & (x < 5.5) & (y < 2.8))
     assert np.all(np.hypot(np.maximum(12.0 - x, 0), np.maximum(np.maximum(5.5 - y, y - 7.0), 0)) > 1.5)
-    seen = visibility(
+    visible = visibility(
         layout.position, layout.points, sight_limits(scenario, scenario.instrument), obstacles=None
     ).visible
-    assert seen.any(axis=0).all()
+    assert visible.any(axis=0).all()
 
 
 def test_holes_ceilings_and_clearance_take_floor_away() -> None:
@@ -203,19 +203,19 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
     for robust in ("no", "station"):
         hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
         made = lt.plan(hall)
-        assert made.kept is not None
-        assert made.kept.good
+        assert made.check is not None
+        assert made.check.good
         counts[robust] = len(made.chosen.survey.position)
         content = plan_file(made)
-        assert content.tolerances_kept
+        assert content.tolerances_met
         assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
         stations = [loss for loss in content.losses if loss.lost in made.chosen.survey.station_names]
         assert len(stations) == counts[robust]
-        assert all(loss.kept for loss in stations) == (robust == "station")
-        assert content.summary.startswith("Reached: all 8 tolerances kept at 95 %, worst M")
-        assert "with any one station lost " + ("all kept too" if robust == "station" else "not kept") in content.summary
+        assert all(loss.met for loss in stations) == (robust == "station")
+        assert content.summary.startswith("Reached: all 8 tolerances are met at 95 % confidence; worst point M")
+        assert ("any one station all are met" if robust == "station" else "they are not met") in content.summary
         assert content.reached
-        assert f"{counts[robust]} stations are the fewest that were found to keep the goal." in content.reasons
+        assert any(s.startswith(f"{counts[robust]} stations are the fewest") for s in content.reasons)
         first = 2 if robust == "no" else 3
         assert f"Fewer than {first} stations were not searched." in content.reasons
         assert not any("make no network" in sentence for sentence in content.reasons)
@@ -223,15 +223,15 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
 
 
 def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: Path) -> None:
-    goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmost = 2\n[budget]\nrepeats = [1]\n[search]"
+    goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     made = lt.plan(hall)
-    assert made.kept is not None
-    assert not made.kept.good
+    assert made.check is not None
+    assert not made.check.good
     content = plan_file(made)
-    assert content.summary.startswith("Not reached: 0 of 30 tolerances kept at 95 %, worst ")
+    assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
     assert not content.reached
-    assert any(s.startswith("None of 2 to 2 stations was found to keep the goal") for s in content.reasons)
+    assert any("with 2 to 2 stations" in sentence for sentence in content.reasons)
 
 
 def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:
@@ -270,8 +270,8 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
 def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) -> None:
     place = np.array([3.0, 2.0, 1.5])
 
-    def marks(*at: tuple[float, float]) -> list[Tape]:
-        return [Tape.of(f"M{k}", np.array([*xy, 0.0]), place, floor=True) for k, xy in enumerate(at)]
+    def marks(*at: tuple[float, float]) -> list[TapeDistance]:
+        return [TapeDistance.of(f"M{k}", np.array([*xy, 0.0]), place, floor=True) for k, xy in enumerate(at)]
 
     in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
     assert lacking(in_line, place) == "The tapes meet a second time, at x 3.00, y -2.00 m: that is the wrong side."
@@ -286,27 +286,33 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
         assert lacking(found, place) == ""
     assert len(work_order._tapes(in_line[:2], place)) == 2
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
-    monkeypatch.setattr(work_order, "_marks", lambda plan, place, seen: in_line[:2])
+    monkeypatch.setattr(work_order, "_marks", lambda plan, place, visible: in_line[:2])
     assert "S1: Fewer than three points can be taped to" in work_order_page(lt.plan(hall))
 
 
 def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
     tolerance = dict.fromkeys("ABC", 1e-4)
-    kept, lost = Kept("", tolerance, {}, np.inf, "C", ("C",)), Kept("S1", tolerance, {}, np.inf, "")
-    assert verdict(Demands(tolerance), kept, [lost]).words == (
-        "Not reached: 0 of 3 tolerances kept at 95 %, the network falls apart; "
-        "with any one station lost not kept without S1, the network falls apart"
-    )
-    assert kept.remains == "C is seen from nowhere, the network falls apart"
+    kept, lost = ToleranceCheck("", tolerance, {}, np.inf, "C", ("C",)), ToleranceCheck("S1", tolerance, {}, np.inf, "")
+    judgement = verdict(Tolerances(tolerance), kept, [lost])
+    assert not judgement.reached and judgement.words.startswith("Not reached: 0 of 3 tolerances are met")
+    assert kept.unseen == ("C",) and kept.remaining.startswith("C is not visible")
 
 
 def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -> None:
-    tried = [Tried(3, None, False, "M1, M2"), Tried(4, None, False, "M2"), Tried(5, 1.2, True)]
-    assert reasons._came_of(tried, 2) == [
-        "3 to 4 stations: no layout was found with every point in sight of 2 (the nearest one lacks M2)",
-        "5 stations: the best found has an error of 1.2 times its tolerance",
+    tried = [
+        StationCountResult(3, None, False, "M1, M2"),
+        StationCountResult(4, None, False, "M2"),
+        StationCountResult(5, 1.2, True),
     ]
-    site = SimpleNamespace(least=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
-    seen = np.array([[True, True, True], [True, False, False], [True, False, True]])
-    placement = Placement(np.zeros((3, 3)), seen, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
-    assert [Site.lacking(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == ["M2", "", "M1, M2, M3"]
+    assert reasons._came_of(tried, 2) == [
+        "3 to 4 stations: no layout has every point in sight of 2 stations (the closest layout lacks sights of M2)",
+        "5 stations: the best layout has an error of 1.2 times its tolerance",
+    ]
+    site = SimpleNamespace(min_sights=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
+    visible = np.array([[True, True, True], [True, False, False], [True, False, True]])
+    placement = Placement(np.zeros((3, 3)), visible, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
+    assert [SearchSpace.unseen_targets(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == [
+        "M2",
+        "",
+        "M1, M2, M3",
+    ]

@@ -15,7 +15,7 @@ from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import ideal, misalignment
-from ltsim.planning.fast import Reducer, StationBlocks
+from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.objective import smallest_sizes
 from ltsim.planning.workshop import survey_of
@@ -71,13 +71,13 @@ def test_pose_covariance_does_not_depend_on_the_frame() -> None:
 @pytest.mark.parametrize("faces", [(1,), (1, 2)])
 def test_batch_agrees_with_the_slow_twin(faces: tuple[int, ...]) -> None:
     made = survey(faces, repeats=2, importance={"T03": 25.0, "T07": 0.0, "T26": 4.0})
-    reducer = Reducer(made)
+    reducer = LayoutScorer(made)
     position, yaw = scattered(6, 2)
-    seen = np.random.default_rng(5).uniform(size=(6, 5, 28)) < 0.8
-    blocks = reducer.blocks(position.reshape(-1, 3), yaw.ravel(), seen=seen.reshape(-1, 28))
+    visible = np.random.default_rng(5).uniform(size=(6, 5, 28)) < 0.8
+    blocks = reducer.blocks(position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(-1, 28))
     out = reducer.reduce(blocks, np.arange(30).reshape(6, 5), targets=True)
     for i in range(6):
-        slow = LayoutInformation.of(made.replace(position=position[i], yaw=yaw[i], seen=seen[i]))
+        slow = LayoutInformation.of(made.replace(position=position[i], yaw=yaw[i], visible=visible[i]))
         fast = np.linalg.inv(out.information[i])
         assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(slow.scaled_covariance)), rel=1e-9)
         scale = np.sqrt(np.diag(fast))
@@ -89,14 +89,14 @@ def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() ->
     made = survey()
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in made.station_names[:3]}
     made = made.replace(setup=made.setup.model_copy(update={"stations": stations}))
-    reducer = Reducer(made, ideal())
+    reducer = LayoutScorer(made, ideal())
     out = reducer.reduce(reducer.blocks(made.position, made.yaw), np.arange(5)[None], targets=True)
     assert out.target_rms[0] == pytest.approx(LayoutInformation.of(made, ideal()).target_rms, rel=1e-9)
 
 
 def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
     made = survey((1,), observables=("distance",))
-    reducer = Reducer(made)
+    reducer = LayoutScorer(made)
     position, yaw = scattered(4, 2)
     out = reducer.reduce(
         reducer.blocks(position.reshape(-1, 3), yaw.ravel()), np.arange(20).reshape(4, 5)[:, :5], targets=True
@@ -113,7 +113,7 @@ def test_ranges_from_one_plane_determine_nothing() -> None:
     made = survey((1,), observables=("distance",))
     made = made.replace(setup=made.setup.model_copy(update={"gauge": None}))
     flat = made.position * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0]
-    reducer = Reducer(made)
+    reducer = LayoutScorer(made)
     both = np.concatenate([made.position, flat])
     out = reducer.reduce(reducer.blocks(both, np.tile(YAW, 2)), np.arange(10).reshape(2, 5), targets=True)
     assert np.isfinite(out.target_rms).tolist() == [True, False]
@@ -127,7 +127,7 @@ def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     from ltsim.physics.effects import BASELINE
 
     others = misalignment(e for e in BASELINE if e.name != "range-offset")
-    reducer = Reducer(made, others, [RangeOffset()])
+    reducer = LayoutScorer(made, others, [RangeOffset()])
     out = reducer.reduce(reducer.blocks(made.position, made.yaw, np.arange(5)), np.arange(5)[None])
     own = np.linalg.inv(out.information[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
     whole = LayoutInformation.of(made)
@@ -149,11 +149,11 @@ def masks() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("case", masks())
 def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
-    made, seen = survey(), masks()[case]
-    with pytest.raises(NetworkError, match="S3 sees fewer than three" if seen[2].sum() < 5 else "share more"):
-        LayoutInformation.of(made.replace(seen=seen))
-    reducer = Reducer(made)
-    out = reducer.reduce(reducer.blocks(made.position, made.yaw, seen=seen), np.arange(5)[None], targets=True)
+    made, visible = survey(), masks()[case]
+    with pytest.raises(NetworkError, match="S3 sees fewer than three" if visible[2].sum() < 5 else "share more"):
+        LayoutInformation.of(made.replace(visible=visible))
+    reducer = LayoutScorer(made)
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw, visible=visible), np.arange(5)[None], targets=True)
     assert not np.isfinite(out.information).any()
     assert not np.isfinite(out.target_rms).any()
 
@@ -161,10 +161,10 @@ def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
 def test_a_lost_layout_does_not_spoil_its_neighbours_in_the_batch() -> None:
     made, whole = survey(), np.ones((5, 28), dtype=bool)
     lost = list(masks().values())
-    reducer = Reducer(made)
-    seen = np.concatenate([whole, *lost, whole])
+    reducer = LayoutScorer(made)
+    visible = np.concatenate([whole, *lost, whole])
     places = (np.tile(a, (len(lost) + 2, *[1] * (a.ndim - 1))) for a in (made.position, made.yaw))
-    out = reducer.reduce(reducer.blocks(*places, seen=seen), np.arange(5 * (len(lost) + 2)).reshape(-1, 5))
+    out = reducer.reduce(reducer.blocks(*places, visible=visible), np.arange(5 * (len(lost) + 2)).reshape(-1, 5))
     alone = reducer.reduce(reducer.blocks(made.position, made.yaw), np.arange(5)[None])
     for i in (0, -1):
         assert out.information[i] == pytest.approx(alone.information[0], rel=1e-12, abs=1e-9)
@@ -184,28 +184,28 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
     rank = np.array([np.random.default_rng(s).permutation(28) for s in range(5)])
     made = survey(rank=rank, face_by_face=face_by_face)
     effects = [IndexDrift(law="linear"), IndexDrift(law="visit"), StationWeather(stations=("S4",))]
-    reducer = Reducer(made, effects=effects)
+    reducer = LayoutScorer(made, effects=effects)
     whole = reducer.blocks(made.position, made.yaw, np.arange(5))
-    alone = StationBlocks.joined(
+    alone = NormalBlocks.concatenated(
         [reducer.blocks(made.position[s : s + 1], made.yaw[s : s + 1], np.array([s])) for s in range(5)]
     )
     space = ResidualSpace.of(LayoutInformation.of(made).adjustment)
     for blocks in (whole, alone):
         information = reducer.reduce(blocks, np.arange(5)[None]).information
         for k, effect in enumerate(effects):
-            seen = examine(space, [effect])
-            assert seen is not None
+            visible = examine(space, [effect])
+            assert visible is not None
             only = np.delete(
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2
             )
             size = smallest_sizes(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
-            assert size == pytest.approx(seen.sizes[0][0], rel=1e-6)
+            assert size == pytest.approx(visible.sizes[0][0], rel=1e-6)
 
 
 def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
     """It is a nuisance that costs information, the same in the batch and in its twin, and a group of the criteria."""
     made = survey_of(load_scenario("paper-workshop"))
-    reducer, slow = Reducer(made), LayoutInformation.of(made)
+    reducer, slow = LayoutScorer(made), LayoutInformation.of(made)
     out = reducer.reduce(reducer.blocks(made.position, made.yaw, np.arange(5)), np.arange(5)[None], targets=True)
     assert np.abs(np.linalg.inv(out.information[0]) - slow.scaled_covariance).max() < 1e-9
     assert out.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-9)

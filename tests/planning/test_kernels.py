@@ -16,17 +16,17 @@ DECISIONS = """
 import json
 import numpy as np
 from ltsim.core.errors import NetworkError
-from ltsim.planning.fast import Reducer
+from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
 from tests.planning.test_information import masks
 
 made, found = survey(), {}
-reducer = Reducer(made)
-for name, seen in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
-    out = reducer.reduce(reducer.blocks(made.position, made.yaw, seen=seen), np.arange(5)[None], targets=True)
+reducer = LayoutScorer(made)
+for name, visible in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw, visible=visible), np.arange(5)[None], targets=True)
     try:
-        LayoutInformation.of(made.replace(seen=seen))
+        LayoutInformation.of(made.replace(visible=visible))
         slow = "determined"
     except NetworkError:
         slow = "lost"

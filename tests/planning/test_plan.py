@@ -44,7 +44,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    text = "[stations]\ncount = 4\ntries = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 24\n"
+    text = "[stations]\ncount = 4\ntradeoff_counts = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 24\n"
     return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"), 2)))
 
 
@@ -87,7 +87,7 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     """Stations are searched for the points that ranges place; no angle is asked for, compared or advised."""
     (tmp_path / "ranges.toml").write_text(scenario_to_toml(load_scenario("paper-workshop-re-aimed")), encoding="utf-8")
     scenario = 'scenario = "ranges.toml"\n'
-    goal = "[goal]\ninstrument = 0\ntargets = 1\n[stations]\ncount = 4\ntries = []\n"
+    goal = "[goal]\ninstrument = 0\ntargets = 1\n[stations]\ncount = 4\ntradeoff_counts = []\n"
     file, whole = load_plan(small(scenario + goal, tmp_path))
     ranges = changed(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
     made = make_plan(file, ranges)
@@ -97,7 +97,10 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     content = plan_file(made)
     assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
     with pytest.raises(SetupError, match="from 3 stations, not from 2"):
-        make_plan(file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": 2})}), ranges)
+        make_plan(
+            file.model_copy(update={"stations": file.stations.model_copy(update={"min_stations_per_target": 2})}),
+            ranges,
+        )
 
 
 def test_the_curve_knows_cost_and_quality(plan: Plan) -> None:
@@ -147,10 +150,10 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     text = 'scenario = "with.toml"\n[stations]\ncount = 3\n'
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.reference is not None
-    assert not made.reference.survey.seen.all()
-    broken = "does not keep the plan's rules: T.* seen from fewer than 5 stations .stations.seen_from. .S"
+    assert not made.reference.survey.visible.all()
+    broken = "breaks rules of the plan: T.* fewer than 5 stations .stations.min_stations_per_target. .S"
     assert any(re.search(broken, sentence) for sentence in plan_file(made).reasons)
-    assert made.chosen.survey.seen.all()
+    assert made.chosen.survey.visible.all()
     x, y, _ = made.chosen.survey.position.T
     assert not ((np.abs(x - 3.6) < 0.3) & (np.abs(y - 2.6) < 0.3)).any()
 
@@ -169,7 +172,7 @@ def test_a_budget_in_hours_buys_the_best_that_it_pays_for(tmp_path: Path) -> Non
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.chosen.survey.repeats == 2
     poor = text.replace("1.8", "0.5")
-    with pytest.raises(SetupError, match=r"the cheapest way of working takes 1\.4 hours"):
+    with pytest.raises(SetupError, match=r"the cheapest way of working takes 1\.4 h"):
         make_plan(*load_plan(small(poor, tmp_path)))
 
 
@@ -218,7 +221,7 @@ def test_built_in_plans_load_and_print() -> None:
         ("[stations]\ncont = 5\n", "unknown key stations.cont; did you mean count"),
         ("[stations]\ncount = 1\n", "stations.count is 1"),
         ('[stations]\nfixed = ["S9"]\n', "stations.fixed names 'S9', which does not exist; did you mean S"),
-        ("[stations]\nseen_from = 7\n", "seen_from is 7, but there are 5 stations"),
+        ("[stations]\nmin_stations_per_target = 7\n", "min_stations_per_target is 7, but there are 5 stations"),
         ('[goal]\ncriterion = "T"\n', "goal.criterion"),
         ("[goal]\ninstrument = 0\n", "at least one of instrument, targets and diagnosis"),
         ('[goal]\ndiagnosis = 1\neffects = ["stationweather"]\n', "did you mean station-weather"),
@@ -297,8 +300,8 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     (tmp_path / "hall.toml").write_text(text)
     made = lt.plan(tmp_path / "hall.toml", move={"S1": (1200, 2000), "S2": (4700, 2000)})
     table = made.table("tolerances")
-    assert table.column("point") == ["A", "B", "C"] and table.column("kept") == [True, True, True]
+    assert table.column("point") == ["A", "B", "C"] and table.column("met") == [True, True, True]
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
-    assert made.kept is not None
-    assert table.column("within_mm") == pytest.approx([1e3 * made.kept.radius[name] for name in "ABC"])
+    assert made.check is not None
+    assert table.column("within_mm") == pytest.approx([1e3 * made.check.radius[name] for name in "ABC"])
     assert {"S1", "S2"} <= set(made.table("losses").column("lost"))

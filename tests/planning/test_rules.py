@@ -14,7 +14,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
 from ltsim.planning.files import opened, plan_file
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.tolerances import Demands, Kept, against, keeps, percent, verdict
+from ltsim.planning.tolerances import ToleranceCheck, Tolerances, against, keeps, percent, verdict
 from ltsim.planning.workshop import as_it_stands
 
 PLAN = """format = "ltsim-plan/1"
@@ -33,7 +33,7 @@ height_mm = [1400, 1800]
 corners_mm = [[3900, 700], [4300, 700], [4300, 1100], [3900, 1100]]
 [stations]
 count = 2
-seen_from = 1
+min_stations_per_target = 1
 [search]
 starts = 1
 grid_mm = 1500
@@ -59,7 +59,11 @@ def hall(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("first", "second", "rule"),
     [
-        ((2500, 2000), (2500, 2100), "S1 and S2 stand 0.10 m apart, nearer than 1 m (stations.spacing_mm)"),
+        (
+            (2500, 2000),
+            (2500, 2100),
+            "S1 and S2 are 0.10 m apart, closer than 1 m (stations.spacing_mm)",
+        ),
         ((300, 2000), (4000, 2000), "S1 stands outside the floor where tripods may stand (floor.corners_mm"),
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
         ((4100, 900), (2000, 2000), "S1 stands where the floor is kept free (floor.keep_outs, floor.doors)"),
@@ -78,34 +82,34 @@ def test_a_place_that_breaks_a_rule_is_refused_by_name(
     position = site.survey.position.copy()
     for s, place in enumerate((first, second)):
         position[s, : len(place)] = np.array(place) / 1000
-    survey = site.survey.replace(position=position, seen=site.seen(position))
+    survey = site.survey.replace(position=position, visible=site.visible(position))
     assert rule in "; ".join(broken.words for broken in site.broken_rules(survey))
     assert LayoutSearcher(site, step=1.5).evaluate(position, survey.yaw).value == np.inf
-    assert file.stations.seen_from == 1
+    assert file.stations.min_stations_per_target == 1
 
 
 def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
     _, site = as_it_stands(*opened(hall))
     rng, searcher = np.random.default_rng(3), LayoutSearcher(site, step=1.5)
-    seen = set()
+    visible = set()
     for _ in range(40):
         position = rng.uniform((0.4, 0.4, 1.3), (5.6, 3.6, 1.9), (2, 3))
-        named = site.broken_rules(site.survey.replace(position=position, seen=site.seen(position)))
+        named = site.broken_rules(site.survey.replace(position=position, visible=site.visible(position)))
         taken = np.isfinite(searcher.evaluate(position, np.zeros(2)).value)
         assert taken <= (not named)
-        seen.add(bool(named))
-        joined = site.joined(position[None], site.seen(position)[None])[0]
+        visible.add(bool(named))
+        joined = site.feasible(position[None], site.visible(position)[None])[0]
         assert (site.allowed(position).all() and joined) == (not named)
-    assert seen == {True, False}
+    assert visible == {True, False}
 
 
 def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> None:
-    hall.write_text(PLAN.replace("seen_from = 1", "seen_from = 2"))
+    hall.write_text(PLAN.replace("min_stations_per_target = 1", "min_stations_per_target = 2"))
     made = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
     content = plan_file(made)
     assert made.chosen.survey.yaw[1] == pytest.approx(np.radians(30))
-    assert any("seen from fewer than 2 stations (stations.seen_from)" in rule for rule in content.broken_rules)
-    assert content.reached is False and content.tolerances_kept
+    assert any("fewer than 2 stations (stations.min_stations_per_target)" in rule for rule in content.broken_rules)
+    assert content.reached is False and content.tolerances_met
     assert content.summary.startswith("Not reached: the layout breaks a rule (")
 
 
@@ -135,15 +139,13 @@ def test_without_works_for_two_stations_and_prints_the_command_that_follows(
 
 
 def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> None:
-    demands = Demands({"A": 1e-4})
-    missed = Kept("", demands.tolerance, {"A": 1.004e-4}, 1.004, "A")
+    demands = Tolerances({"A": 1e-4})
+    missed = ToleranceCheck("", demands.tolerance, {"A": 1.004e-4}, 1.004, "A")
     said = verdict(demands, missed, [])
     assert not said.reached and not missed.good and missed.over == ["A"]
-    assert said.words == (
-        "Not reached: 0 of 1 tolerances kept at 95 %, worst A with 0.1004 of 0.1 mm (0.4 % too large)"
-    )
-    far = Kept("", demands.tolerance, {"A": 1.236e-4}, 1.236, "A")
-    assert far.worst_point == "worst A with 0.124 of 0.1 mm (24 % too large)"
+    assert said.words.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
+    far = ToleranceCheck("", demands.tolerance, {"A": 1.236e-4}, 1.236, "A")
+    assert "(24 % too large)" in far.worst_point
     assert percent(1.004) == "100.4 %" and percent(0.8543) == "85.4 %" and percent(1.0 + 1e-9).startswith("100.0000001")
     assert against(0.1004, 0.1) == "0.1004" and against(0.0999, 0.1) == "0.0999" and against(0.25, 0.1) == "0.25"
     assert keeps(1.0) and not keeps(np.nextafter(1.0, 2.0)) and not keeps(np.inf)
@@ -155,11 +157,11 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move)
-    worst = made.kept.radius[made.kept.worst]  # type: ignore[union-attr]
+    worst = made.check.radius[made.check.worst]  # type: ignore[union-attr]
     hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
     content = plan_file(lt.plan(hall, move=move))
     (grid, *_) = _tolerances(content)
     assert isinstance(grid, Grid) and len(grid.marked) == 1 and content.reached is False
     (row,) = (grid.rows[i] for i in grid.marked)
-    assert row[0] == made.kept.worst and row[3] == "100.04 %"  # type: ignore[union-attr]
-    assert [entry.kept for entry in content.reflectors if entry.name == row[0]] == [False]
+    assert row[0] == made.check.worst and row[3] == "100.04 %"  # type: ignore[union-attr]
+    assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]

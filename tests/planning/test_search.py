@@ -18,7 +18,7 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.starts import PlanningProblem, SearchTask
 from ltsim.scene.floor import Area, inside
 from ltsim.scene.meshes import box, placed, together
@@ -28,19 +28,21 @@ from tests.planning.fixtures import survey
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
 
 
-def site(stations: int = 3, **changes: object) -> Site:
+def site(stations: int = 3, **changes: object) -> SearchSpace:
     made = survey((1,), stations)
-    whole = Site(made, (Area(FLOOR, (1.5, 2.1)),), SightLimits(), aimed=np.zeros(28, dtype=bool), least=stations)
+    whole = SearchSpace(
+        made, (Area(FLOOR, (1.5, 2.1)),), SightLimits(), aimed=np.zeros(28, dtype=bool), min_sights=stations
+    )
     return whole.replace(**changes)
 
 
-def searcher(where: Site, objective: Objective | None = None) -> LayoutSearcher:
+def searcher(where: SearchSpace, objective: Objective | None = None) -> LayoutSearcher:
     return LayoutSearcher(where, objective or Objective(), step=1.25, yaws=4, heights=1)
 
 
-def information(where: Site, position: Floats, yaw: Floats) -> LayoutInformation:
-    seen = where.seen(position)
-    return LayoutInformation.of(where.survey.replace(position=position, yaw=yaw, seen=seen))
+def information(where: SearchSpace, position: Floats, yaw: Floats) -> LayoutInformation:
+    visible = where.visible(position)
+    return LayoutInformation.of(where.survey.replace(position=position, yaw=yaw, visible=visible))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(found) ->
     own = searcher(where).evaluate(where.survey.position, where.survey.yaw)
     assert found.value < 0.8 * own.value
     assert where.allowed(found.position).all()
-    assert where.seen(found.position).all()
+    assert where.visible(found.position).all()
     gap = np.linalg.norm(found.position[:, None, :2] - found.position[None, :, :2], axis=2)[np.triu_indices(3, 1)]
     assert gap.min() >= where.spacing - 1e-9
 
@@ -97,7 +99,7 @@ corners_mm = [[1000, 22500], [39000, 22500], [39000, 24000], [1000, 24000]]
 corners_mm = [[1000, 2500], [5000, 2500], [5000, 22500], [1000, 22500]]
 [stations]
 count = 4
-seen_from = 1
+min_stations_per_target = 1
 [search]
 grid_mm = 1500
 yaws = 1
@@ -121,8 +123,11 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     assert len(apart) > 1
     bound = [work._bound(layout) for layout in apart]
     assert sum(np.isfinite(work._value(layout)) for layout in bound) > 1
-    assert all(work.site.joined(layout.position[None], layout.seen[None])[0] for layout in bound)
-    assert all(work.site.bonds(b.seen[None]) > work.site.bonds(a.seen[None]) for a, b in zip(apart, bound, strict=True))
+    assert all(work.site.feasible(layout.position[None], layout.visible[None])[0] for layout in bound)
+    assert all(
+        work.site.connectivity(b.visible[None]) > work.site.connectivity(a.visible[None])
+        for a, b in zip(apart, bound, strict=True)
+    )
 
 
 def test_a_fixed_station_stays() -> None:
@@ -150,8 +155,8 @@ def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None
     table = together([placed(box(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
     point = np.array([[3.0, 3.0, 1.0]])
     heads = np.array([[1.0, 3.0, height] for height in (1.001, 1.04, 1.2)])
-    assert site(obstacles=table).seen(heads, point)[:, 0].tolist() == [True, True, True]
-    assert site(obstacles=table, play=0.05).seen(heads, point)[:, 0].tolist() == [False, False, True]
+    assert site(obstacles=table).visible(heads, point)[:, 0].tolist() == [True, True, True]
+    assert site(obstacles=table, position_tolerance=0.05).visible(heads, point)[:, 0].tolist() == [False, False, True]
 
 
 def test_all_targets_that_no_place_sees_are_named() -> None:
@@ -162,11 +167,11 @@ def test_all_targets_that_no_place_sees_are_named() -> None:
 
 
 def test_least_stations_a_target_lets_single_sights_go() -> None:
-    where = site(4, least=2, limits=SightLimits(range_max=5.5))
+    where = site(4, min_sights=2, limits=SightLimits(range_max=5.5))
     made = searcher(where).from_start(0, 1)
-    seen = where.seen(made.position)
-    assert not seen.all()
-    assert (seen.sum(axis=0) >= 2).all()
+    visible = where.visible(made.position)
+    assert not visible.all()
+    assert (visible.sum(axis=0) >= 2).all()
     with pytest.raises(SetupError, match="no place on the floor sees every reflector"):
         searcher(site(limits=SightLimits(range_max=5.5))).from_start(0, 1)
 

@@ -10,7 +10,7 @@ import pytest
 from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import most_sights, with_reachable_sights
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import PlanFile, Stations
 from ltsim.planning.workshop import site_of
 from ltsim.scene.visibility import SightLimits
@@ -18,9 +18,9 @@ from tests.planning.test_hall import HALL, points_csv
 from tests.planning.test_search import site
 
 
-def short_sighted(least: int) -> Site:
+def short_sighted(least: int) -> SearchSpace:
     """Three stations whose instrument reaches 5 m: no place sees the whole mesh."""
-    return site(limits=SightLimits(range_max=5.0), least=least)
+    return site(limits=SightLimits(range_max=5.0), min_sights=least)
 
 
 def test_what_can_be_had_is_had() -> None:
@@ -29,14 +29,16 @@ def test_what_can_be_had_is_had() -> None:
     found, limiting = most_sights(short_sighted(3), 0.5, 2)
     assert 1 <= found < 3
     position = short_sighted(3).places(0.5, 2)
-    share = short_sighted(3).seen(position).mean(axis=0)
+    share = short_sighted(3).visible(position).mean(axis=0)
     assert limiting == short_sighted(3).survey.target_names[int(np.argmin(share))]
 
 
 def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
     found, limiting = most_sights(short_sighted(3), 0.5, 2)
-    asked = PlanFile(stations=Stations(seen_from="all"))
-    with pytest.raises(SetupError, match=rf"set stations\.seen_from = {found}, move {limiting}, or widen the floor"):
+    asked = PlanFile(stations=Stations(min_stations_per_target="all"))
+    with pytest.raises(
+        SetupError, match=rf"set stations.min_stations_per_target = {found}, move {limiting}, or widen the floor"
+    ):
         with_reachable_sights(asked, short_sighted(3))
     assert with_reachable_sights(asked, site()) is asked
 
@@ -44,8 +46,8 @@ def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
 def test_the_default_is_found() -> None:
     found, _ = most_sights(short_sighted(3), 0.5, 2)
     settled = with_reachable_sights(PlanFile(), short_sighted(3))
-    assert settled.stations.seen_from == found
-    assert with_reachable_sights(PlanFile(), site()).stations.seen_from == "all"
+    assert settled.stations.min_stations_per_target == found
+    assert with_reachable_sights(PlanFile(), site()).stations.min_stations_per_target == "all"
 
 
 def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> None:
@@ -55,4 +57,4 @@ def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> No
     file, scenario = load_plan(tmp_path / "hall.toml")
     where = site_of(file, scenario, stations=3, faces=1)
     assert most_sights(where, 1.0, 1)[0] == 2
-    assert with_reachable_sights(file, where).stations.seen_from == 2
+    assert with_reachable_sights(file, where).stations.min_stations_per_target == 2

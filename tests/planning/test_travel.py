@@ -61,8 +61,8 @@ def test_points_are_told_to_the_micrometre_with_uncertainty_and_stations(made: P
     for row, entry in zip(rows, content["reflectors"], strict=True):
         u = np.array([float(row[f"U_{k}_um"]) for k in "xyz"])
         assert np.linalg.norm(u) == pytest.approx(2 * entry["sigma_um"], abs=0.03)
-        assert {(s, row["target"]) for s in row["seen_from"].split()} <= sees
-        assert len(row["seen_from"].split()) == entry["stations_seeing"]
+        assert {(s, row["target"]) for s in row["visible_from"].split()} <= sees
+        assert len(row["visible_from"].split()) == entry["stations_seeing"]
 
 
 def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys) -> None:

@@ -120,7 +120,7 @@ preset = "modern"
 range_max_mm = 40000
 [stations]
 count = 3
-seen_from = 1
+min_stations_per_target = 1
 [search]
 starts = 1
 grid_mm = 8000

@@ -14,14 +14,14 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import Construction
-from ltsim.planning.files import PLAN, SCENARIO, opened, with_cad_beside, with_layout
+from ltsim.planning.files import PLAN, SCENARIO, opened, with_cad_copied, with_layout
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table
 from ltsim.planning.rules import TOUCH, words_of
-from ltsim.planning.site import Site
+from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, judged, keeps, losses_of, percent, radius, verdict
+from ltsim.planning.tolerances import Tolerances, judged, keeps, losses_of, percent, radius, verdict
 from ltsim.planning.workshop import as_it_stands
 from ltsim.recordings.files import write_texts
 from ltsim.recordings.settings import to_toml
@@ -50,10 +50,10 @@ class Board:
     file: PlanFile
     scenario: Scenario
     """Scenario with the initial stations."""
-    site: Site
+    site: SearchSpace
     """Search space; its survey has the faces and rounds of the scenario."""
     construction: Construction
-    demands: Demands
+    demands: Tolerances
     """Tolerances of points."""
 
     @classmethod
@@ -61,7 +61,7 @@ class Board:
         """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
         named, scenario = opened(source)
         file, site = as_it_stands(named, scenario)
-        return cls(file, scenario, site, planned_construction(scenario), Demands.of(file))
+        return cls(file, scenario, site, planned_construction(scenario), Tolerances.of(file))
 
     def hall(self) -> dict[str, Any]:
         """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial places of stations."""
@@ -118,14 +118,14 @@ class Board:
             station_names=names,
             position=place * MILLIMETRE,
             yaw=yaw * DEGREE,
-            seen=survey.seen[like],
+            visible=survey.visible[like],
             rank=None if survey.rank is None else survey.rank[like],
         )
 
-    def _site(self, survey: Survey) -> Site:
+    def _site(self, survey: Survey) -> SearchSpace:
         """Search space of the plan for a survey with any number of stations."""
-        asked = self.file.stations.seen_from
-        return self.site.replace(survey=survey, least=len(survey.position) if asked == "all" else asked)
+        asked = self.file.stations.min_stations_per_target
+        return self.site.replace(survey=survey, min_sights=len(survey.position) if asked == "all" else asked)
 
     def judged(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
@@ -134,7 +134,7 @@ class Board:
         if _touches(survey):
             return {"problem": words_of(places)}
         table = sight_table(site, survey)
-        survey = survey.replace(seen=table.visible)
+        survey = survey.replace(visible=table.visible)
         evaluation = {
             "reasons": table.reason.tolist(),
             "hidden": int(Reason.OBSTACLE),
@@ -143,7 +143,7 @@ class Board:
             "hours": survey.seconds / 3600.0,
             "problem": words_of((*places, *site.broken_sights(survey))),
         }
-        visible = np.asarray(survey.seen.any(axis=0))
+        visible = np.asarray(survey.visible.any(axis=0))
         try:
             information = LayoutInformation.of(survey.only(visible), self.construction)
             covariance = information.target_covariance
@@ -163,7 +163,7 @@ class Board:
         if not self.demands or _touches(survey):
             return None
         site = self._site(survey)
-        survey = survey.replace(seen=sight_table(site, survey).visible)
+        survey = survey.replace(visible=sight_table(site, survey).visible)
         losses = losses_of(survey, self.demands, self.construction)
         checks = judged(survey, self.demands, self.construction)
         judgement = verdict(self.demands, checks, losses, site.broken_rules(survey))
@@ -186,7 +186,7 @@ class Board:
         names = list(scenario.stations)
         plan |= {"format": self.file.format, "scenario": SCENARIO}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
-        scenario, cad = with_cad_beside(scenario)
+        scenario, cad = with_cad_copied(scenario)
         texts = {SCENARIO: scenario_to_toml(scenario), PLAN: to_toml(plan)}
         write_texts(folder, {**cad, **texts})
         return [folder / name for name in texts]

@@ -42,8 +42,8 @@ def plan_section(content: PlanResult, context: ReportContext) -> Section:
     scenario = None if file is None else load_scenario(file)
     drawn, changed = _pictures(content, scenario, turn=context.detail == "turn")
     blocks += drawn
-    if content.not_seen:
-        blocks.append(Notes("Blocked lines of sight", content.not_seen))
+    if content.blocked_sights:
+        blocks.append(Notes("Blocked lines of sight", content.blocked_sights))
     if content.reasons:
         blocks.append(Notes("Reasons for this plan", content.reasons))
     blocks += _tolerances(content) + _changes(content) + changed
@@ -52,7 +52,7 @@ def plan_section(content: PlanResult, context: ReportContext) -> Section:
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-    points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
+    points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(Notes("Bodies in the hall", content.bodies))
@@ -72,7 +72,7 @@ def _tolerances(content: PlanResult) -> list[Block]:
     if not asked.rows:
         return []
     level = content.settings.get("goal", {}).get("level_pct", 95)
-    over = frozenset(i for i, is_met in enumerate(asked.column("kept")) if not is_met)
+    over = frozenset(i for i, is_met in enumerate(asked.column("met")) if not is_met)
     blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
     return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
 
@@ -162,7 +162,7 @@ def _effects(content: PlanResult) -> list[Block]:
     note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
     note = "Share of the signature of the first effect that the second one explains."
-    blocks += table_block("Effects that are hard to separate", content.table("alike"), note=note)
+    blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.silent:
         blocks.append(Notes("Undetectable effects", content.silent))
     return blocks

@@ -19,9 +19,9 @@ def builtin_path(name: str) -> Path:
 
     Raises SetupError when there is none of this name; the message names the closest ones.
     """
-    known = builtin_names()
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5) or known
+    names = builtin_names()
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or names
         message = "there is no such file, and no built-in scenario of this name"
         raise SetupError(f"{shown(name)}: {message}; did you mean {', '.join(near)}?")
     return Path(str(files(__name__) / f"{name}.toml"))

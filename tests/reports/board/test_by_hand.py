@@ -42,12 +42,12 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     stations[1]["mm"][0] += 500.0
     found = board.judged(stations)
     survey = board.survey(stations)
-    survey = survey.replace(seen=sight_table(board.site, survey).visible)
+    survey = survey.replace(visible=sight_table(board.site, survey).visible)
     assert survey.position[1, 0] == pytest.approx(board.site.survey.position[1, 0] + 0.5, abs=1e-4)
     information = LayoutInformation.of(survey, board.construction)
     assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigma)
     assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
-    assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.seen.tolist()
+    assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.visible.tolist()
     assert found["shadow"] == pytest.approx(survey.position[:, 2] * np.tan(np.radians(35)))
 
 
@@ -55,12 +55,12 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     board = Board.of(hall)
     stations = board.hall()["stations"]
     survey = board.survey(stations)
-    survey = survey.replace(seen=sight_table(board.site, survey).visible)
+    survey = survey.replace(visible=sight_table(board.site, survey).visible)
     lost = [judged(survey.without(s), board.demands, board.construction) for s in range(3)]
     said = board.verdict(stations)
     assert said is not None
     assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
-    assert ("with any one station lost all kept too" in said["words"]) == all(one.good for one in lost)
+    assert ("any one station all are met" in said["words"]) == all(one.good for one in lost)
     stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
     assert board.verdict(stations) is None
 
@@ -73,9 +73,9 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
     assert board.verdict(stations)["reached"] and board.judged(stations)["problem"] == ""  # type: ignore[index]
     stations[1]["mm"][:2] = stations[0]["mm"][:2]
     said = board.verdict(stations)
-    rule = "S1 and S2 stand 0.00 m apart, nearer than 1 m (stations.spacing_mm)"
+    rule = "S1 and S2 are 0.00 m apart, closer than 1 m (stations.spacing_mm)"
     assert said is not None and not said["reached"]
-    assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}); all 8 tolerances kept")
+    assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}). All 8 tolerances are met")
     assert board.judged(stations)["problem"] == rule
     place = ",".join(f"{v}" for v in stations[0]["mm"])
     move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
@@ -115,7 +115,7 @@ def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
     assert "S1 stands outside the floor where tripods may stand" in board.judged(stations)["problem"]
     stations[0]["mm"][:2] = stations[1]["mm"][:2]
-    assert "nearer than 1 m" in board.judged(stations)["problem"]
+    assert "closer than 1 m" in board.judged(stations)["problem"]
     stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
     assert "S1 stands in M00" in board.judged(stations)["problem"]
 
@@ -132,7 +132,7 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     made = lt.plan(tmp_path / "moved")
     assert made.chosen.survey.position[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
     assert 1e6 * made.chosen.qualities["targets"] == pytest.approx(wanted["rms_um"])
-    assert made.kept is not None
+    assert made.check is not None
     recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
     assert len(recording.stations) == 3
     elsewhere = (tmp_path / "moved" / "plan.toml").read_text().replace("x_mm = 4710", "x_mm = 4711", 1)
