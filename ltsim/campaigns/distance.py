@@ -77,7 +77,7 @@ class BatchDistance(Engine):
     @cached_property
     def _kept(self) -> Floats:
         """Combinations (q, k) that are estimated."""
-        left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
+        left = np.array([d.vector for d in self.estimate.undetermined]).reshape(-1, self.problem.prior_sigma.size)
         return np.linalg.svd(np.eye(left.shape[1]) - left.T @ left)[0][:, : left.shape[1] - len(left)]
 
     @cached_property

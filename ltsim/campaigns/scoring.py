@@ -209,7 +209,7 @@ class ExpectedTruth:
         mean, drawn = np.array([law[name] for name in found.names]).T / prior
         adjustment = found.adjustment
         if adjustment is None or found.method != "network":
-            return cls(mean, drawn, found.missed, np.zeros(0, dtype=np.int64), prior)
+            return cls(mean, drawn, found.bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
         more = np.concatenate([np.zeros(0), *reflectors])

@@ -62,7 +62,7 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     first = _parameters(content, truth_of(beside)) if content.parameters else product
     known = _known_values(content)
-    ahead = known if any(entry.left_out for entry in content.known) else []
+    ahead = known if any(entry.excluded for entry in content.reference_values) else []
     blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
     shown = len(blocks) + 1
     if targets is not None and content.stations:
@@ -81,7 +81,7 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
         title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
         answer=_answer(content, words, targets),
-        mood=mood(agrees and converged and all(outlier.left_out for outlier in content.outliers)),
+        mood=mood(agrees and converged and all(outlier.excluded for outlier in content.outliers)),
         facts=_facts(content, agrees=agrees),
         blocks=blocks,
         actions=_actions(content),
@@ -109,7 +109,7 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
             f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
         )
     if content.outliers:
-        left = sum(outlier.left_out for outlier in content.outliers)
+        left = sum(outlier.excluded for outlier in content.outliers)
         begin += f"; {count(len(content.outliers), 'reading')} did not fit"
         were = "was" if left == 1 else "were"
         begin += f" and {were} left out" if left == len(content.outliers) else f", {left} left out" if left else ""
@@ -152,15 +152,15 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
 
 def _known_values(content: CalibrationFile) -> list[Grid]:
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, +- one sigma."
-    shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
+    shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return table_of("How known values fit", shown, *fields, "redundancy", "w", "left_out", note=note)
+    return table_of("How known values fit", shown, *fields, "redundancy", "w", "excluded", note=note)
 
 
 def _actions(content: CalibrationFile) -> list[str]:
     """Next steps, the most urgent first."""
     said = []
-    left = [o for o in content.outliers if not o.left_out]
+    left = [o for o in content.outliers if not o.excluded]
     if left:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
         out = f"or leave them out ({option('robust=True')})"

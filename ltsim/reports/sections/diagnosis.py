@@ -105,7 +105,7 @@ def _actions(content: DiagnosisFile) -> list[str]:
         place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
         follows = f" with {listing(where.covariates)}" if where.covariates else ""
         unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
-        cause = f"the cause of {finding.effect}" if finding.known else unnamed
+        cause = f"the cause of {finding.effect}" if finding.is_catalogued else unnamed
         todo = f"Exchange the names {listing(where.targets)} at" if _swapped(finding) else f"Look for {cause}"
         place = listing(where.stations) if _swapped(finding) else f"({place})"
         said.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
@@ -149,7 +149,7 @@ def _finding(
     finding: Finding, number_: int, answer: str, pair: Pair | None, residuals: tuple[Residuals | None, Residuals | None]
 ) -> list[Block]:
     """One finding: its sentence if the answer lacks it, what carries it, where it is, what it does to the readings."""
-    name = finding.effect if finding.known else "an effect that no catalogue entry explains"
+    name = finding.effect if finding.is_catalogued else "an effect that no catalogue entry explains"
     words = finding.sentence or f"{name} {_place(finding.where)}"
     cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
@@ -245,9 +245,18 @@ def _fit(content: DiagnosisFile) -> list[Block]:
 
 def _hidden(content: DiagnosisFile) -> list[Block]:
     """Effects that are not detectable, worst first, as far as they matter."""
-    felt = [u for u in content.undetectable if u.hides_um and u.hides_um >= LEAST_UM]
-    worst = sorted(felt, key=lambda u: -(u.hides_um or 0.0))
-    rows = [[u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never"] for u in worst]
+    felt = [
+        u for u in content.undetectable if u.undetected_target_error_um and u.undetected_target_error_um >= LEAST_UM
+    ]
+    worst = sorted(felt, key=lambda u: -(u.undetected_target_error_um or 0.0))
+    rows = [
+        [
+            u.effect,
+            number(u.undetected_target_error_um, 2),
+            number(u.detectable_at_factor, 2) if u.detectable_at_factor else "never",
+        ]
+        for u in worst
+    ]
     header = ["effect", "hides of the targets [um]", "shows at times that size"]
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
     note = "At a bad but plausible size poses, targets and constants of the instrument absorb these"
