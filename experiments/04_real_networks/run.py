@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from experiments.common import Made, Options, run_steps, show_table, tell
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.known import Choice
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.prior_information import Choice
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE

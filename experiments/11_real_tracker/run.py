@@ -15,8 +15,8 @@ import pandas as pd
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.two_face import two_face
+from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
-from ltsim.calibration.history_file import history_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnose import diagnose
@@ -110,7 +110,7 @@ def transfer(out: Path) -> None:
                for k, r in raw.items()}  # fmt: skip
         for name, s in raw:
             others = [(f"{k[0]} {k[1]}", c) for k, c in own.items() if k[0] != name]
-            used = History.of(others).informed(own[name, s]) if informed else own[name, s]
+            used = History.of(others).as_prior_of(own[name, s]) if informed else own[name, s]
             to = s if method == CEILING else 1 - s
             values = used.applied[0] if method == DEFAULT else used.values[0]
             faces = two_face(raw[name, to]), two_face(raw[name, to], construction, values)

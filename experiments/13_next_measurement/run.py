@@ -11,9 +11,9 @@ from ltsim.adjustment.remedies.remedy import Remedy
 from ltsim.core.parallel import parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
+from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.separate import open_question
 from ltsim.geometry.rotations import about_z
 from ltsim.physics.model.construction import misalignment
 from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of

@@ -74,7 +74,7 @@ def named(cause: Tunable, told: Finding) -> bool:
     """An effect by its name or among the equivalents; a law as unknown, with its carrier or its observables."""
     if not isinstance(cause, Law):
         return cause.name in (told.effect, *(e.effect for e in told.equivalents))
-    return not told.known and (told.carrier == cause.carrier.name
+    return not told.is_catalogued and (told.carrier == cause.carrier.name
                                or set(told.where.observables) == set(cause.observables))  # fmt: skip
 
 

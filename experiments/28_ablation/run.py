@@ -14,10 +14,10 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
-from ltsim.diagnosis.cards import Cards, card_hypotheses
+from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.prior import log_share
-from ltsim.diagnosis.probe import TRIALS, Probe
 from ltsim.diagnosis.space import panels
 from ltsim.physics.laws.regressors import Regressor, base_of
 from ltsim.physics.model.construction import declared_construction
@@ -41,9 +41,9 @@ def part_of(driver: Regressor) -> str:
 def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     """Log evidence of each part of the searched space, in the recording and in simulated ones (trials,)."""
     sightings, instruments = space.sightings, space.adjustment.recording.instruments
-    probe = Probe.of(space, 0, TRIALS)
+    probe = NullEnsemble.of(space, 0, TRIALS)
     bank = NoiseBank.of(space, noise_hypotheses(sightings, instruments))
-    cards = Cards.of(space, card_hypotheses(sightings, instruments))
+    cards = CatalogueSignatures.of(space, catalogue_hypotheses(sightings, instruments))
     values, chance = cards.score(probe)
     own = np.append(bank.family_evidence(space.residual[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.family_evidence(probe.trials.astype(np.float64), space.redundancy)

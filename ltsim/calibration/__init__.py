@@ -1,1 +1,1 @@
-"""Calibration: instrument parameters from a recording, what could not be determined, and the corrected recording."""
+"""Calibration: instrument parameters from a recording, undetermined combinations, and the corrected recording."""

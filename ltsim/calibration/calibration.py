@@ -1,4 +1,4 @@
-"""A calibration: what was found out about the instrument, how well, and what was not."""
+"""Result of a calibration: estimated instrument parameters, their covariance, and the adjusted network."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from ltsim.calibration.schema import (
     Fit as Fit,
     FittedEffectEntry,
     HarmonicEntry,
-    KnownEntry,
     NoiseRow as NoiseRow,
     OutlierRow as OutlierRow,
     ParameterEntry,
+    ReferenceValueEntry,
     StationPose as StationPose,
 )
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -42,7 +42,7 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.result_file import SourceEntry
 
-OfOne = TypeVar("OfOne", DeterminedEntry, HarmonicEntry)
+EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
 
@@ -57,27 +57,32 @@ PARAMETERS = Table(
         name={"name": "parameter"},
     ),
 )
-KNOWN = Table("known.csv", "known values, each tested by the rest", columns_of(KnownEntry))
-OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
+REFERENCE_VALUES = Table(
+    "reference_values.csv", "reference values, each tested by the rest", columns_of(ReferenceValueEntry)
+)
+OUTLIERS = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
 NOISE = Table(
     "noise.csv",
-    "noise found from the readings",
+    "noise estimated from the readings",
     columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
 )
 STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 SHARPER = 0.975
-"""Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
+"""A parameter counts as better known than before if its sigma over its prior sigma is below this: the readings then
+removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
 SAME = 1e-9
-"""Difference of what is applied from the estimate, to the estimate or its sigma, below which it is the estimate."""
+"""`applied` is written only if it differs from the estimate by more than this share of the estimate or of its sigma:
+the rounding of double precision, with three digits to spare."""
 MOSTLY = 0.9
-"""Share of the redundancy whose noise was estimated, from which chi-square over redundancy is 1 by construction."""
+"""The global test is void if the noise of more than this share of the redundancy was estimated: chi-square over
+redundancy is then 1 by construction."""
 
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Result):
-    """Instrument parameters with their covariance, and the network they were found in.
+    """Instrument parameters with their covariance, and the adjusted network.
 
-    What has no words of its own is as in `CalibrationFile`.
+    Attributes without a docstring are documented in `CalibrationFile`.
     """
 
     method: str
@@ -106,19 +111,19 @@ class Calibration(Result):
     """Verdict on the test to trust where tests disagree; None for the distance methods and for results from a file."""
     robust: bool = False
     noise: tuple[NoiseRow, ...] = ()
-    known: tuple[KnownEntry, ...] = ()
+    reference_values: tuple[ReferenceValueEntry, ...] = ()
     lost_targets: tuple[str, ...] = ()
     axes: AxesEntry | None = None
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters that were not estimated but held at their value."""
-    beyond_prior: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters whose prior the readings contradict, and whose estimate follows them."""
-    informed: bool = False
-    silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    """(k, I p): combinations, in prior sigmas, that a distance method left at zero."""
+    history_prior: bool = False
+    null_space: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    """(k, I p): combinations, in prior sigmas, that a distance method did not estimate: they stay at zero."""
     correction: Correction | None = None
-    weighed: Floats | None = None
-    """(I, p) [SI]: what is taken out of readings where that is not the estimates themselves."""
+    applied_values: Floats | None = None
+    """(I, p) [SI]: parameters to apply to readings; None where these are the estimates."""
     effects: tuple[FittedEffectEntry, ...] = ()
     notes: tuple[str, ...] = ()
     tests: tuple[Test, ...] = ()
@@ -127,14 +132,14 @@ class Calibration(Result):
     """The adjusted network; None for a calibration that was read from a file."""
 
     def __post_init__(self) -> None:
-        for name in ("held", "beyond_prior"):
+        for name in ("held", "prior_rejected"):
             if getattr(self, name).shape != self.values.shape:
                 object.__setattr__(self, name, np.zeros(self.values.shape, dtype=bool))
 
     @property
     def prior_used(self) -> Floats:
         """Standard deviations (I, p) [SI] of the prior that the estimates had."""
-        return np.where(self.beyond_prior, FREED, 1.0) * self.prior_sigma
+        return np.where(self.prior_rejected, FREED, 1.0) * self.prior_sigma
 
     @cached_property
     def sigma(self) -> Floats:
@@ -143,8 +148,8 @@ class Calibration(Result):
 
     @cached_property
     def determined(self) -> tuple[DeterminedEntry, ...]:
-        """Combinations of parameters that are known far better than each of them."""
-        bayes = self.method == "network" and not self.informed
+        """Combinations of parameters that are determined far better than each of them."""
+        bayes = self.method == "network" and not self.history_prior
         return self._of_each(determined, by_plausible_sizes if bayes else None)
 
     @cached_property
@@ -154,46 +159,46 @@ class Calibration(Result):
 
     def _of_each(
         self,
-        told: Callable[[Sequence[Parameter], Floats, Floats], list[OfOne]],
-        seen: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
-    ) -> tuple[OfOne, ...]:
-        """Entries of each instrument by its values and covariance, as `seen`; with its name where there are several."""
+        entries_of: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
+        estimates_of: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
+    ) -> tuple[EntryT, ...]:
+        """Entries of each instrument by its values and covariance, as transformed by `estimates_of` if given."""
         several, size = len(self.instruments) > 1, self.construction.size
-        found: list[OfOne] = []
+        rows: list[EntryT] = []
         parameters = self.construction.parameters
         for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
             covariance = self.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]
-            if seen is not None:
-                values, covariance = seen(parameters, values, covariance, self.prior_used[i])
-            entries = told(parameters, values, covariance)
-            found += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
-        return tuple(found)
+            if estimates_of is not None:
+                values, covariance = estimates_of(parameters, values, covariance, self.prior_used[i])
+            entries = entries_of(parameters, values, covariance)
+            rows += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
+        return tuple(rows)
 
     @property
-    def missed(self) -> Floats:
-        """(I p, I p) What the estimates miss of the truth, noise aside, both in prior sigmas: -missed @ truth."""
+    def bias_operator(self) -> Floats:
+        """Bias operator (I p, I p), in prior sigmas: the expected error of the estimates is -bias_operator @ truth."""
         if self.method == "network":
             unit = self.prior_sigma.ravel()
             return self.covariance / np.outer(unit, unit)
-        return self.silent.T @ self.silent
+        return self.null_space.T @ self.null_space
 
     @property
     def applied(self) -> Floats:
         """Parameters (I, p) [SI] to take out of readings."""
-        return self.values if self.correction is None or self.weighed is None else self.weighed
+        return self.values if self.correction is None or self.applied_values is None else self.applied_values
 
     @property
     def noise_estimated(self) -> bool:
-        """Whether so much of the noise was estimated from the readings that the fit tests nothing any more."""
+        """True if the noise was estimated from the same readings, so that the global test is void."""
         whole = sum(n.redundancy for n in self.noise)
-        found = sum(n.redundancy for n in self.noise if n.factor_sigma is not None)
-        return found > MOSTLY * whole
+        estimated = sum(n.redundancy for n in self.noise if n.factor_sigma is not None)
+        return estimated > MOSTLY * whole
 
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
         test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
-        known = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
+        sharper = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
         lines = [
             f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",
             f"{len(self.stations)} stations and {len(self.targets)} targets in {self.frame}",
@@ -201,10 +206,10 @@ class Calibration(Result):
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
-            lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
+            lines.append(f"{count} parameters{held}, {sharper} better known than before; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
-            lines.append(f"{len(self.outliers)} readings do not belong")
+            lines.append(f"{len(self.outliers)} outlying readings")
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
         if self.correction is not None and self.correction.uncorrected_um > 0:
@@ -218,7 +223,7 @@ class Calibration(Result):
             "stations": self._stations,
             "outliers": lambda: OUTLIERS.filled(self.outliers),
             "noise": lambda: NOISE.filled(self.noise),
-            "known": lambda: KNOWN.filled(self.known),
+            "reference_values": lambda: REFERENCE_VALUES.filled(self.reference_values),
         }
         adjustment = self.adjustment
         if adjustment is not None:
@@ -238,7 +243,7 @@ class Calibration(Result):
                 unit=parameter.unit,
                 prior_sigma=float(self.prior_sigma[i, k] / parameter.factor),
                 held=bool(self.held[i, k]),
-                beyond_prior=bool(self.beyond_prior[i, k]),
+                prior_rejected=bool(self.prior_rejected[i, k]),
                 **self._applied(i, k),
                 **named[i],
             )
@@ -255,7 +260,9 @@ class Calibration(Result):
 
     def _stations(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
-        return STATIONS.filled([s.name, *s.position_mm, *own] for s, own in zip(self.stations, sigma, strict=True))
+        return STATIONS.filled(
+            [s.name, *s.position_mm, *sigmas] for s, sigmas in zip(self.stations, sigma, strict=True)
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -263,17 +270,17 @@ class Calibration(Result):
         return self.construction.names_of(self.instruments)
 
     def part(self, instrument: int, keep: Ints) -> Calibration:
-        """The calibration of one instrument with some of its parameters, without a correction."""
-        one, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
+        """Calibration of one instrument with the parameters `keep` (k,), without a correction."""
+        row, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
         return replace(
             self,
             construction=self.construction.only(keep),
-            instruments=self.instruments[one],
-            values=self.values[one, keep],
-            prior_sigma=self.prior_sigma[one, keep],
+            instruments=self.instruments[row],
+            values=self.values[row, keep],
+            prior_sigma=self.prior_sigma[row, keep],
             covariance=self.covariance[np.ix_(at, at)],
-            held=self.held[one, keep],
-            beyond_prior=self.beyond_prior[one, keep],
+            held=self.held[row, keep],
+            prior_rejected=self.prior_rejected[row, keep],
             correction=None,
         )
 
@@ -285,7 +292,7 @@ class Calibration(Result):
         Raises
         ------
         RecordError
-            When the recording names an instrument that the calibration does not know.
+            When the calibration holds no parameters of an instrument of the recording.
         """
         if len(self.instruments) == 1:
             return self.applied[0]
@@ -303,8 +310,8 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
     """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row, or no height alone."""
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
-    known = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
-    return TARGETS.filled([names[i], *cells[i].tolist()] for i in known)
+    placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
+    return TARGETS.filled([names[i], *cells[i].tolist()] for i in placed)
 
 
 def residuals_table(adjustment: Adjustment) -> Table:

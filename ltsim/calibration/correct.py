@@ -16,7 +16,7 @@ from ltsim.recordings.recording import Recording
 def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
     """The recording that an ideal tracker would have made, by a calibration of the instrument.
 
-    Readings are on the same face; the set-up of the result says that its instruments are corrected. A row without a
+    Readings are on the same face; the set-up of the result declares its instruments corrected. A row without a
     range (or without an angle) is corrected at the place where the network puts its target, to a millimetre.
 
     Parameters
@@ -25,7 +25,7 @@ def correct(recording: RecordingSource, calibration: CalibrationSource, *, again
         Of the same instrument; any network.
     calibration : Calibration, str or Path
     again : bool
-        Correct readings too that the set-up says are corrected.
+        Also correct readings that the set-up declares corrected.
 
     Raises
     ------
@@ -43,14 +43,14 @@ def correct(recording: RecordingSource, calibration: CalibrationSource, *, again
     >>> len(corrected)
     140
     """
-    seen, found = recording_of(recording), calibration_of(calibration)
-    if not again and any(seen.instrument_of(name).corrected for name in seen.stations):
-        raise RecordError("the set-up says that the readings are corrected (corrected = true); once is right")
-    readings = corrected_readings(seen, found.construction, found.values_for(seen))
-    setup, mark = seen.setup, {"corrected": True}
+    source, corrections = recording_of(recording), calibration_of(calibration)
+    if not again and any(source.instrument_of(name).corrected for name in source.stations):
+        raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
+    readings = corrected_readings(source, corrections.construction, corrections.values_for(source))
+    setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
     marked = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
-    return seen.replace(setup=setup.model_copy(update=marked), readings=readings)
+    return source.replace(setup=setup.model_copy(update=marked), readings=readings)
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
@@ -74,12 +74,12 @@ def _filler(recording: Recording) -> Floats:
     untied: Bools = incomplete & recording.measured.any(axis=1) & lost[recording.target]
     if untied.any():
         name = recording.targets[recording.target[int(np.argmax(untied))]]
-        raise _placeless(untied, f"nothing ties target {name} to it")
+        raise _placeless(untied, f"no reading connects target {name} to it")
     model = MeasurementModel(recording, ideal())
     return model.predict(State(position, rotation, points, np.zeros((1, 0))))
 
 
 def _placeless(rows: Bools, why: str) -> NetworkError:
     return NetworkError(
-        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle and its place in the network is not known: {why}"
+        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle, and its target has no coordinates: {why}"
     )

@@ -15,8 +15,8 @@ from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
 from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, solve_equation_9, with_minimum
-from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
+from ltsim.calibration.prior_information import Choice
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, State
@@ -45,16 +45,16 @@ def calibrate_distance(
     """The distance methods of `ltsim.calibrate`, whose options and errors it has (eq. 9 and 10).
 
     Stations and targets then come from an adjustment of the corrected readings; their covariance holds the
-    uncertainty of the parameters, which were found from the same readings.
+    uncertainty of the parameters, which were estimated from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
     built = construction or declared_construction(recording)
-    known = (choice or Choice()).applied(recording, built)
-    prior, held = known.sigma, known.held
+    parameter_prior = (choice or Choice()).applied(recording, built)
+    prior, held = parameter_prior.sigma, parameter_prior.held
     source = SourceEntry.of(recording)
     recording, _, gross, _ = screened(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
-    start = np.where(held, known.mean / prior, 0.0).ravel()
+    start = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
     problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):
         estimate = solve_equation_9(problem, norm, box=box, start=start, held=held.ravel())
@@ -71,7 +71,7 @@ def calibrate_distance(
     unknowns = adjustment.problem.unknowns
     pose = adjustment.pose_covariance + added[unknowns.pose[:, :, None], unknowns.pose[:, None, :]]
     scale = prior.ravel()
-    silent = np.array([d.vector for d in estimate.left_out]).reshape(-1, len(scale))
+    null_space = np.array([d.vector for d in estimate.undetermined]).reshape(-1, len(scale))
     return Calibration(
         method=method,
         construction=built,
@@ -79,7 +79,7 @@ def calibrate_distance(
         values=values,
         prior_sigma=prior,
         covariance=estimate.covariance * np.outer(scale, scale),
-        silent=silent,
+        null_space=null_space,
         held=held,
         fit=_fit(propagation),
         undetermined=_undetermined(adjustment, built, estimate, advise=advise),
@@ -124,11 +124,11 @@ def _undetermined(
 ) -> tuple[Combination, ...]:
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
-        return result.undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
+        return result.undetermined_of(adjustment, construction, [list(estimate.undetermined)], advise=advise)
     names = construction.names_of(instruments)
     return tuple(
         Combination(combination=d.coefficients(names), gain=d.gain, cure="use the network method, which names a cure")
-        for d in estimate.left_out
+        for d in estimate.undetermined
     )
 
 
@@ -198,10 +198,12 @@ class Propagation:
 
     def chi2_moments(self) -> tuple[float, float]:
         """Expected value and variance of the adjustment's chi-square, if model and stated noise hold."""
-        left, noise = self._residual_part(self._by_parameter), self._residual_part(self._with_noise)
-        both = np.concatenate([left, noise], axis=1)
-        one = np.eye(left.shape[1])
-        mixed = np.block([[self.estimate.covariance, -one], [-one, np.zeros_like(one)]]) @ (both.T @ both)
+        systematic, noise = self._residual_part(self._by_parameter), self._residual_part(self._with_noise)
+        both = np.concatenate([systematic, noise], axis=1)
+        identity = np.eye(systematic.shape[1])
+        mixed = np.block([[self.estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]) @ (
+            both.T @ both
+        )
         free = float(self.adjustment.dof)
         return free + float(np.trace(mixed)), 2 * (free + 2 * float(np.trace(mixed)) + float(np.sum(mixed * mixed.T)))
 

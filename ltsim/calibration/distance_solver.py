@@ -4,8 +4,8 @@ Least squares and least absolute deviations, both by Gauss-Newton; a step of the
 The objective as printed estimates up to 78 parameters without asking whether the data hold them. `solve_distances`
 estimates only combinations whose estimate is more certain than the prior (gain above one half), the unknowns scaled by
 their priors; the others stay at zero and keep their prior uncertainty: nothing is estimated blindly. That is no minimum
-of eq. 9, which `solve_equation_9` finds, in a box or anywhere: it leaves nothing out but what does not change the
-objective at all, and so fits noise where the readings say little; it is here to compare with, and to reproduce.
+of eq. 9, which `solve_equation_9` finds, in a box or anywhere: it leaves out only combinations that do not
+change the objective, and so fits noise where the readings determine little; it is here for comparison and reproduction.
 
 The objective ignores that distances share points, so its own covariance would be too small. The covariance given
 here propagates the stated noise of every reading (and of the gauge) through the estimator.
@@ -25,18 +25,18 @@ from ltsim.core.errors import ModelError, NetworkError
 from ltsim.solve.absolute import least_absolute
 
 CAP, CLOSED = 30, 1e-7
-"""Most steps; converged when no unknown moves by more than this share of its prior sigma."""
+"""Largest number of steps; converged when no unknown moves by more than this share of its prior sigma."""
 LEAST_CAP, LEAST_CLOSED = 60, 1e-9
-"""The same of the minimum of eq. 9, where the objective may also end to fall by this share."""
+"""The same for the minimum of eq. 9; it has also converged when the objective falls by less than this share."""
 NOTHING = 1e-9
-"""Relative singular value of a combination that does not change any compared distance."""
+"""A combination changes no compared distance if its singular value over the largest is below this (rounding)."""
 
 Norm = Literal["squares", "absolute"]
 
 
 @dataclass(frozen=True)
 class Separations:
-    """Compared distances: what compares them (R, D), residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
+    """Compared distances: comparison matrix (R, D), residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
 
     compare: sp.csr_array
     residual: Floats
@@ -54,7 +54,7 @@ class Estimates:
     """(q, q): of the error, that of the combinations left at zero included."""
     noise: Floats
     """(q, 3 n + g): covariance of the error with the whitened readings and gauge lengths."""
-    left_out: tuple[Direction, ...]
+    undetermined: tuple[Direction, ...]
     objective: float
     """[m^2] for least squares, [m] for absolute deviations."""
     iterations: int
@@ -83,15 +83,15 @@ def _selected(at: Ints, count: int) -> sp.csr_array:
 
 def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_array) -> Separations:
     at, which = problem.gauge_matches(distances)
-    known = len(problem.gauge)
+    n_lengths = len(problem.gauge)
     pick = _selected(at, len(distances.length))
     # The error of a gauge length shifts all rows that compare with it.
     spread = sp.csr_array(-problem.gauge.spread[which])
     matrix = sp.vstack([compare, pick], format="csr")
     residual = matrix @ distances.length
     residual[compare.shape[0] :] -= problem.gauge.length[which]
-    own = sp.vstack([sp.csr_array((compare.shape[0], known)), spread], format="csr")
-    noise = sp.hstack([matrix @ distances.by_reading, own], format="csr")
+    length_noise = sp.vstack([sp.csr_array((compare.shape[0], n_lengths)), spread], format="csr")
+    noise = sp.hstack([matrix @ distances.by_reading, length_noise], format="csr")
     return Separations(sp.csr_array(matrix), residual, matrix @ distances.by_parameter, sp.csr_array(noise))
 
 
@@ -105,20 +105,20 @@ def solve_distances(
     Raises
     ------
     NetworkError
-        When no pair of targets was seen from two stations (or faces), and no gauge.
+        When no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
     unknowns, free = _begun(problem, start, held)
     rows = mean_rows(problem, problem.at(unknowns))
     _require_compared(rows, np.ones_like(free))
-    kept, left_out = determined(rows, free)
+    estimated, undetermined = determined(rows, free)
     moved, iterations = np.inf, 0
     while iterations < CAP and not moved < CLOSED:
         iterations += 1
         rows = compared_rows(problem, unknowns, norm)
-        step = kept @ _least(rows.by_unknown @ kept, rows.residual, norm)
+        step = estimated @ _least(rows.by_unknown @ estimated, rows.residual, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _estimate(rows, norm, (unknowns, kept, left_out), iterations, moved < CLOSED)
+    return _estimate(rows, norm, (unknowns, estimated, undetermined), iterations, moved < CLOSED)
 
 
 def solve_equation_9(
@@ -147,9 +147,9 @@ def solve_equation_9(
         step[free] = _step(rows, unknowns[free], free, norm, box)
         unknowns, rows, fallen = _searched(problem, unknowns, step, rows, norm)
         moved = min(float(np.max(np.abs(step))), fallen)
-    seen, unseen = _seen(rows, free)
-    left = tuple(Direction(vector, 0.0) for vector in unseen.T)
-    return _estimate(rows, norm, (unknowns, seen, left), iterations, moved < LEAST_CLOSED)
+    visible, invisible = _split_visible(rows, free)
+    undetermined = tuple(Direction(vector, 0.0) for vector in invisible.T)
+    return _estimate(rows, norm, (unknowns, visible, undetermined), iterations, moved < LEAST_CLOSED)
 
 
 def _begun(problem: DistanceProblem, start: Floats | None, held: Bools | None) -> tuple[Floats, Bools]:
@@ -165,13 +165,19 @@ def _require_compared(rows: Separations, free: Bools) -> None:
 
 
 def _estimate(
-    rows: Separations, norm: Norm, found: tuple[Floats, Floats, tuple[Direction, ...]], iterations: int, converged: bool
+    rows: Separations,
+    norm: Norm,
+    solution: tuple[Floats, Floats, tuple[Direction, ...]],
+    iterations: int,
+    converged: bool,
 ) -> Estimates:
     """Estimates by the unknowns, the combinations (q, k) that were estimated, and those that were left out."""
-    unknowns, kept, left = found
-    covariance, noise = uncertainty(rows, kept, norm)
-    prior = np.array([d.vector for d in left]).reshape(len(left), len(unknowns))
-    return Estimates(unknowns, covariance + prior.T @ prior, noise, left, objective(rows, norm), iterations, converged)
+    unknowns, estimated, undetermined = solution
+    covariance, noise = uncertainty(rows, estimated, norm)
+    prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
+    return Estimates(
+        unknowns, covariance + prior.T @ prior, noise, undetermined, objective(rows, norm), iterations, converged
+    )
 
 
 def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: Norm) -> Separations:
@@ -187,26 +193,26 @@ def objective(rows: Separations, norm: Norm) -> float:
 
 def determined(rows: Separations, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
     """Combinations (q, k) of the `free` (q,) unknowns to estimate, and those to leave at zero with their gains."""
-    strength, own = np.linalg.eigh(rows.by_unknown[:, free].T @ rows.by_unknown[:, free])
-    vectors = np.zeros((len(free), len(own)))
-    vectors[free] = own
-    known = strength > 1e-12 * strength[-1]
+    strength, eigenvectors = np.linalg.eigh(rows.by_unknown[:, free].T @ rows.by_unknown[:, free])
+    vectors = np.zeros((len(free), len(eigenvectors)))
+    vectors[free] = eigenvectors
+    nonzero = strength > 1e-12 * strength[-1]
     carried = np.asarray((rows.by_noise.T @ (rows.by_unknown @ vectors)).T)
     variance = np.full(len(strength), np.inf)
-    variance[known] = np.sum(carried[known] ** 2, axis=1) / strength[known] ** 2
+    variance[nonzero] = np.sum(carried[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
     keep = gain >= DETERMINED
-    left = [Direction(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
-    return vectors[:, keep], tuple(sorted(left, key=lambda d: d.gain))
+    undetermined = [Direction(vectors[:, i], float(gain[i])) for i in np.flatnonzero(~keep)]
+    return vectors[:, keep], tuple(sorted(undetermined, key=lambda d: d.gain))
 
 
-def _seen(rows: Separations, free: Bools) -> tuple[Floats, Floats]:
+def _split_visible(rows: Separations, free: Bools) -> tuple[Floats, Floats]:
     """Combinations (q, k) of the free unknowns that change a compared distance, and those that do not."""
-    _, strength, own = np.linalg.svd(rows.by_unknown[:, free], full_matrices=False)
-    vectors = np.zeros((len(free), len(own)))
-    vectors[free] = own.T
-    known = strength > NOTHING * strength[0]
-    return vectors[:, known], vectors[:, ~known]
+    _, strength, right_vectors = np.linalg.svd(rows.by_unknown[:, free], full_matrices=False)
+    vectors = np.zeros((len(free), len(right_vectors)))
+    vectors[free] = right_vectors.T
+    nonzero = strength > NOTHING * strength[0]
+    return vectors[:, nonzero], vectors[:, ~nonzero]
 
 
 def _least(design: Floats, residual: Floats, norm: Norm) -> Floats:
@@ -220,16 +226,16 @@ def _step(rows: Separations, at: Floats, free: Bools, norm: Norm, box: float | N
     """Step (f,) of the free unknowns to the minimum of the linearised objective."""
     design = rows.by_unknown[:, free]
     if box is None:
-        seen = _seen(rows, free)[0][free]
-        return seen @ _least(design @ seen, rows.residual, norm)
+        visible = _split_visible(rows, free)[0][free]
+        return visible @ _least(design @ visible, rows.residual, norm)
     within = _squares_in_box if norm == "squares" else _absolute_in_box
     return within(design, rows.residual, (-box - at, box - at))
 
 
 def _squares_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
     scale = float(np.linalg.norm(residual))
-    found = lsq_linear(design / scale, -residual / scale, bounds, method="bvls", tol=1e-14)
-    return np.asarray(found.x, dtype=np.float64)
+    solution = lsq_linear(design / scale, -residual / scale, bounds, method="bvls", tol=1e-14)
+    return np.asarray(solution.x, dtype=np.float64)
 
 
 def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
@@ -237,41 +243,41 @@ def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Flo
     count, size = design.shape
     scale = float(np.mean(np.abs(residual)))
     weights = np.concatenate([np.zeros(size), np.ones(2 * count)])
-    one = sp.eye_array(count)
-    matrix = sp.hstack([sp.csr_array(design / scale), -one, one], format="csr")
+    identity = sp.eye_array(count)
+    matrix = sp.hstack([sp.csr_array(design / scale), -identity, identity], format="csr")
     limits = [*zip(*bounds, strict=True), *[(0.0, None)] * (2 * count)]
-    found = linprog(weights, A_eq=matrix, b_eq=-residual / scale, bounds=limits, method="highs")
-    if found.x is None:
-        raise NetworkError(f"eq. 9 in the box: the linear program has no solution ({found.message})")
-    return np.asarray(found.x[:size], dtype=np.float64)
+    solution = linprog(weights, A_eq=matrix, b_eq=-residual / scale, bounds=limits, method="highs")
+    if solution.x is None:
+        raise NetworkError(f"eq. 9 in the box: the linear program has no solution ({solution.message})")
+    return np.asarray(solution.x[:size], dtype=np.float64)
 
 
 def _searched(
     problem: DistanceProblem, unknowns: Floats, step: Floats, rows: Separations, norm: Norm
 ) -> tuple[Floats, Separations, float]:
-    """Go along a step as far as the objective falls; unknowns, rows there, and by what share it fell."""
+    """Backtracking line search along a step: unknowns, rows at them, and relative decrease of the objective."""
     before, share = objective(rows, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
-        found = compared_rows(problem, there, norm)
-        fallen = 1.0 - objective(found, norm) / before
+        rows_there = compared_rows(problem, there, norm)
+        fallen = 1.0 - objective(rows_there, norm) / before
         if fallen > 0.0:
-            return there, found, fallen
+            return there, rows_there, fallen
         share *= 0.5
     return unknowns, rows, 0.0
 
 
-def uncertainty(rows: Separations, kept: Floats, norm: Norm) -> tuple[Floats, Floats]:
+def uncertainty(rows: Separations, estimated: Floats, norm: Norm) -> tuple[Floats, Floats]:
     """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
 
     For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,
     E[sign sign] = 2/pi asin(correlation), taken to first order off the diagonal.
     """
-    design = rows.by_unknown @ kept
+    design = rows.by_unknown @ estimated
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
         influence = -inverse @ np.asarray((rows.by_noise.T @ design).T)
-        noise = kept @ influence
+        noise = estimated @ influence
         return noise @ noise.T, noise
     spread = np.sqrt(np.asarray(rows.by_noise.multiply(rows.by_noise).sum(axis=1)).ravel())
     spread = np.maximum(spread, 1e-12)
@@ -280,8 +286,8 @@ def uncertainty(rows: Separations, kept: Floats, norm: Norm) -> tuple[Floats, Fl
     carried = np.asarray((rows.by_noise.T @ scaled).T) * np.sqrt(2 / np.pi)
     score = carried @ carried.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
-    covariance = kept @ inverse @ score @ inverse.T @ kept.T
-    return covariance, kept @ (-inverse @ carried)
+    covariance = estimated @ inverse @ score @ inverse.T @ estimated.T
+    return covariance, estimated @ (-inverse @ carried)
 
 
 def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimates, held: Bools) -> tuple[str, ...]:
@@ -290,7 +296,7 @@ def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimates, held
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     return (
-        f"eq. 9 is {power * estimate.objective:.4g} {unit} here, with {len(estimate.left_out)} combinations left at "
-        f"zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
+        f"eq. 9 is {power * estimate.objective:.4g} {unit} here, with {len(estimate.undetermined)} combinations left "
+        f"at zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
         "which fits these to the noise)",
     )

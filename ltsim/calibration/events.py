@@ -1,11 +1,11 @@
-"""Events in a history: steps of a parameter that stand out of how it moves from one calibration to the next.
+"""Events in a history: steps of a parameter that are outliers among its steps between calibrations.
 
-A tracker's parameters move from day to day, more than their standard deviations say, and that is no event. The spread
-of the steps is found from the steps themselves; a step is judged by the spread of the others, the one that stands out
-most is taken out, and the rest is judged again (a service and a blow do not hide each other).
+A tracker's parameters move from day to day by more than their standard deviations; that is no event. The spread of the
+steps is estimated from the steps themselves. Each step is tested against the spread of the others; the most significant
+one is removed and the rest is tested again, so that two events do not mask each other.
 
 Where the days between calibrations are known, part of that spread may grow with them (a random walk) and part may not
-(what every calibration brings anew): variance s^2 (1 - g + g days / median days). No g is chosen: the chance of a step
+(each calibration draws it anew): variance s^2 (1 - g + g days / median days). No g is chosen: the chance of a step
 is the mean over `SHARES`, each weighted by how likely it makes the other steps.
 """
 
@@ -17,31 +17,34 @@ from ltsim.calibration.history_schema import EventEntry
 from ltsim.core.arrays import Bools, Floats, Ints
 
 LEAST_STEPS = 3
-"""Steps from which one can stand out of the others; with so few only a gross one does."""
+"""Events are tested if there are at least this many steps: the t-test then has two degrees of freedom."""
 ENOUGH_STEPS = 5
-"""Steps that a spread of their own can be told from, so that a step that does not stand out is a usual one."""
+"""A step that is no event is reported as usual if there are at least this many: its spread then has four degrees of
+freedom."""
 SHARES = np.linspace(0.0, 1.0, 5)
-"""Parts of the variance of usual steps that grow with the days between."""
+"""Shares of the variance of usual steps that grow with the days between them, averaged over by their likelihood."""
 
 
 def can_tell(history: History) -> bool:
-    """Whether there are steps enough for one to stand out of the others."""
+    """True if there are enough steps to test them for events."""
     return len(history) > LEAST_STEPS
 
 
 def events(history: History) -> tuple[EventEntry, ...]:
-    """The steps that stand out, in the order of time; none where there are too few to tell.
+    """Significant steps in the order of time; none where there are too few to test.
 
-    Each by the chance of as large a one over all steps and parameters (Bonferroni).
+    p-values are corrected for all steps and parameters (Bonferroni).
     """
     if not can_tell(history):
         return ()
     steps = [change.parameters for change in history.changes()]
-    difference, sigma = (np.array([[getattr(p, key) for p in own] for own in steps]) for key in ("difference", "sigma"))
-    known = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
-    growth, looks = _growth(history), len(steps) * max(len(known), 1)
-    each = {k: _steps(difference[:, k], sigma[:, k], growth, LEVEL / looks) for k in known}
-    found = sorted((i, k, usual, p) for k, own in each.items() for i, usual, p in own)
+    difference, sigma = (
+        np.array([[getattr(p, key) for p in entries] for entries in steps]) for key in ("difference", "sigma")
+    )
+    tested = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
+    growth, looks = _growth(history), len(steps) * max(len(tested), 1)
+    each = {k: _steps(difference[:, k], sigma[:, k], growth, LEVEL / looks) for k in tested}
+    significant = sorted((i, k, usual, p) for k, entries in each.items() for i, usual, p in entries)
     return tuple(
         EventEntry(
             **{"from": history.labels[i], "to": history.labels[i + 1]},
@@ -52,7 +55,7 @@ def events(history: History) -> tuple[EventEntry, ...]:
             usual=usual,
             p_value=min(1.0, p * looks),
         )
-        for i, k, usual, p in found
+        for i, k, usual, p in significant
     )
 
 
@@ -64,9 +67,9 @@ def _growth(history: History) -> Floats:
 
 
 def _steps(difference: Floats, sigma: Floats, growth: Floats, level: float) -> list[tuple[int, float, float]]:
-    """Steps (K - 1,) of one parameter that stand out at a level: which, how large they usually are, and the chance."""
+    """Significant steps of one parameter at a level, from steps (K - 1,): index, usual size, p-value."""
     usual: Bools = np.ones(len(difference), dtype=bool)
-    found: list[tuple[int, float, float]] = []
+    significant: list[tuple[int, float, float]] = []
     while usual.sum() > LEAST_STEPS - 1:
         steps = np.flatnonzero(usual)
         judged = [_judged(difference, sigma, growth, int(i), steps[steps != i]) for i in steps]
@@ -75,12 +78,12 @@ def _steps(difference: Floats, sigma: Floats, growth: Floats, level: float) -> l
         if p >= level:
             break
         usual[steps[best]] = False
-        found.append((int(steps[best]), spread, p))
-    return found
+        significant.append((int(steps[best]), spread, p))
+    return significant
 
 
 def _judged(difference: Floats, sigma: Floats, growth: Floats, step: int, others: Ints) -> tuple[float, float]:
-    """Two-sided chance of a step by the spread of the others, and its usual size beyond the standard deviations."""
+    """Two-sided p-value of a step against the spread of the others, and its usual size without estimation error."""
     likelihood, chance, usual = np.zeros(len(SHARES)), np.zeros(len(SHARES)), np.zeros(len(SHARES))
     for n, share in enumerate(SHARES):
         shape = 1.0 - share + share * growth
@@ -96,8 +99,8 @@ def _judged(difference: Floats, sigma: Floats, growth: Floats, step: int, others
 
 
 def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
-    """The variance (0 at least) that, times `shape`, makes chi-square the number of steps beside the estimates'."""
-    from scipy.optimize import brentq  # a tenth of a second that few need
+    """Variance (>= 0) that, times `shape` and added to that of the estimates, makes chi-square the number of steps."""
+    from scipy.optimize import brentq  # imported here: it takes a tenth of a second
 
     def excess(variance: float) -> float:
         return float(np.sum(difference**2 / (sigma**2 + variance * shape))) - len(difference)
@@ -105,7 +108,7 @@ def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
     if excess(0.0) <= 0:
         return 0.0
     highest = float(np.sum(difference**2))
-    while excess(highest) > 0:  # steps without time between them have no part of what grows
+    while excess(highest) > 0:  # steps without time between them have no growing variance
         if highest > MOST * float(np.sum(difference**2)):
             return highest
         highest *= 10.0

@@ -15,115 +15,126 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.signature import Parameter
 
 DETERMINED = 0.25
-"""A combination is told where its deviation is at most this share of what it would be were its members independent."""
+"""A combination is reported if its standard deviation over that of independent members is at most this: the recording
+determines it four times better than its members."""
 WHOLE = 1.2
-"""Members are told until they leave so many times the deviation that all parameters together have."""
-ALIKE = 0.9
-"""The first member whose weight is more than this share of the largest stands for all."""
+"""Members are added until the standard deviation is at most this factor above that of the whole eigenvector."""
+LEADING = 0.9
+"""A combination is scaled to its first member whose weight exceeds this share of the largest."""
 DEFINED = 2.0
-"""Least amplitude, in its sigmas, at which a phase is given."""
+"""A phase is reported if the amplitude exceeds this many of its standard deviations."""
 SIZES = np.array(list(probability.SIZE_PRIOR))
 LOG_WEIGHTS = np.log(np.array(list(probability.SIZE_PRIOR.values())))
-"""Sizes t tried, over a plausible one, and their log prior."""
+"""Sizes t over a plausible one, and their log prior."""
 FEW = 100
-"""Values up to which a sum is slower by several fast calls than by a slow one."""
+"""Arrays of up to this many values are summed by one library call, larger ones by several vectorised calls."""
 # 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
 _COSINE = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
 
 @dataclass(frozen=True)
-class ReadingsEvidence:
+class LikelihoodInformation:
     """Information of a calibration's readings without its prior, in units of common prior sigmas."""
 
     remaining: Floats
     """(p, p): covariance after the calibration."""
     information: Floats
     """(p, p): inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`."""
-    told: Floats
+    information_vector: Floats
     """(p,): `information` times the estimate that the readings alone would give."""
 
 
-def evidence(values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats) -> ReadingsEvidence:
+def likelihood_information(
+    values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats
+) -> LikelihoodInformation:
     """The evidence of estimates (p,) with covariance (p, p) under priors (p,) centred at 0, in units (p,), all [SI]."""
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
     shares, vectors = linalg.eigh(remaining / np.outer(prior, prior))
-    heard = 1.0 - shares > SILENT
-    inverse = np.where(heard, 1.0 / np.where(heard, shares, 1.0), 0.0)
+    informative = 1.0 - shares > SILENT
+    inverse = np.where(informative, 1.0 / np.where(informative, shares, 1.0), 0.0)
     basis = vectors / prior[:, None]
-    information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
-    told = (basis * inverse) @ basis.T @ (values / unit)
-    return ReadingsEvidence(0.5 * (remaining + remaining.T), information, told)
+    information = (basis * np.where(informative, inverse - 1.0, 0.0)) @ basis.T
+    information_vector = (basis * inverse) @ basis.T @ (values / unit)
+    return LikelihoodInformation(0.5 * (remaining + remaining.T), information, information_vector)
 
 
-def change_seen(information: Floats, surprise: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Score (p,) and weight (p, p) of a change of each parameter beyond what `variance` (p, p) lets it be.
+def score_test(information: Floats, surprise: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Score (p,) and information (p, p) of a change of each parameter in addition to a prior `variance` (p, p).
 
-    `surprise` is `told` less `information` times what is expected; score / weight[k, k] estimates a change of
-    parameter k alone, with the variance 1 / weight[k, k].
+    `surprise` is `information_vector` less `information` times the expected parameters; score / weight[k, k] estimates
+    a change of parameter k alone, with the variance 1 / weight[k, k].
     """
     keeps = np.linalg.inv(np.eye(len(surprise)) + information @ variance)
     return keeps @ surprise, keeps @ information
 
 
-def changes_found(scores: Callable[[Collection[int]], Floats], least: float) -> dict[int, Floats]:
-    """Changes beside each other, and the `scores` (h,) with which each was chosen beside the others.
+def forward_select(scores: Callable[[Collection[int]], Floats], least: float) -> dict[int, Floats]:
+    """Forward selection with exchange: selected changes, and the `scores` (h,) given the others when each was selected.
 
-    One after another while one scores more than `least`; each gives way to one that scores more in its place.
+    A change is added while one scores more than `least`; after each addition every earlier one is replaced by the best
+    change given the others.
     """
-    found: dict[int, Floats] = {}
-    while (values := scores(found)).max(initial=-np.inf) > least:
-        found[int(np.argmax(values))] = values
-        for one in list(found)[:-1]:
-            values = scores([k for k in found if k != one])
-            del found[one]
-            found[int(np.argmax(values))] = values
-    return found
+    selected: dict[int, Floats] = {}
+    while (values := scores(selected)).max(initial=-np.inf) > least:
+        selected[int(np.argmax(values))] = values
+        for previous in list(selected)[:-1]:
+            values = scores([k for k in selected if k != previous])
+            del selected[previous]
+            selected[int(np.argmax(values))] = values
+    return selected
 
 
 def by_plausible_sizes(
     parameters: Sequence[Parameter], values: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,), covariance (p, p) [SI] as by priors of plausible sizes: a tight prior (p,) hides combinations."""
+    """Estimates (p,), covariance (p, p) [SI] with priors of plausible size: a tight prior (p,) hides combinations."""
     free = np.flatnonzero(np.diag(covariance) > 0)
     unit, block = np.array([p.prior_sigma for p in parameters])[free], np.ix_(free, free)
     if np.array_equal(unit, prior_sigma[free]):
         return values, covariance
-    said = evidence(values[free], covariance[block], prior_sigma[free], unit)
-    own, values, covariance = np.linalg.inv(said.information + np.eye(len(free))), values.copy(), covariance.copy()
-    values[free], covariance[block] = unit * (own @ said.told), own * np.outer(unit, unit)
+    likelihood = likelihood_information(values[free], covariance[block], prior_sigma[free], unit)
+    posterior_covariance, values, covariance = (
+        np.linalg.inv(likelihood.information + np.eye(len(free))),
+        values.copy(),
+        covariance.copy(),
+    )
+    values[free], covariance[block] = (
+        unit * (posterior_covariance @ likelihood.information_vector),
+        posterior_covariance * np.outer(unit, unit),
+    )
     return values, covariance
 
 
 def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[DeterminedEntry]:
-    """Combinations that are known far better than each of their members; values (p,), covariance (p, p) [SI].
+    """Combinations that are determined far better than each of their members; values (p,), covariance (p, p) [SI].
 
-    On a single face, say, the vertical index and two eccentricities of the circle are known to 12 urad each, and their
-    sum to 0.3 urad: a person who asks whether something changed asks the combination. Combinations are of one unit:
-    eigenvectors of the covariance that join several parameters, as large as the first of them if it were alone.
+    In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
+    each and their sum to 0.3 urad. Combinations have one unit: eigenvectors of the covariance that join several
+    parameters, scaled to the first of them.
     """
-    found = []
+    entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
         at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
-        own, factor = covariance[np.ix_(at, at)], parameters[at[0]].factor
-        alone = np.sqrt(np.diag(own))
-        variances, vectors = np.linalg.eigh(own)
+        block, factor = covariance[np.ix_(at, at)], parameters[at[0]].factor
+        alone = np.sqrt(np.diag(block))
+        variances, vectors = np.linalg.eigh(block)
         for variance, vector in zip(variances, vectors.T, strict=True):
             vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
             for count in range(1, len(at) + 1):
                 members = np.sort(np.argsort(-np.abs(vector) * alone)[:count])
                 weights = vector[members]
-                sigma = float(np.sqrt(weights @ own[np.ix_(members, members)] @ weights))
+                sigma = float(np.sqrt(weights @ block[np.ix_(members, members)] @ weights))
                 if sigma <= WHOLE * np.sqrt(max(variance, 0.0)):
                     break
             if count < 2 or sigma > DETERMINED * float(np.linalg.norm(weights * alone[members])):
                 continue
-            first = int(np.flatnonzero(np.abs(weights) > ALIKE * np.abs(weights).max())[0])
+            first = int(np.flatnonzero(np.abs(weights) > LEADING * np.abs(weights).max())[0])
             order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
-            told = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
+            combination = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
             value, sigma = float(weights @ values[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
-            found.append(DeterminedEntry(combination=told, value=value, sigma=sigma, unit=unit))
-    return found
+            entries.append(DeterminedEntry(combination=combination, value=value, sigma=sigma, unit=unit))
+    return entries
 
 
 def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float, float, float | None, float | None]:
@@ -146,20 +157,20 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 def cosine_and_sine(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Each harmonic among parameters: its name, the places of its cosine and its sine."""
     for i, name in enumerate(names):
-        found = _COSINE.match(name)
-        if found:
-            sine = f"{found['front']}sin{found['order']}"
+        match = _COSINE.match(name)
+        if match:
+            sine = f"{match['front']}sin{match['order']}"
             if sine in names:
-                yield found["front"].rstrip("-_") + found["order"], i, list(names).index(sine)
+                yield match["front"].rstrip("-_") + match["order"], i, list(names).index(sine)
 
 
 def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[HarmonicEntry]:
     """Amplitude and phase of every pair of a cosine and a sine coefficient; values (p,), covariance (p, p) [SI]."""
-    found = []
+    entries = []
     for name, *at in cosine_and_sine([p.name for p in parameters]):
         parameter = parameters[at[0]]
         amplitude, sigma, phase, spread = amplitude_and_phase(values[at], covariance[np.ix_(at, at)])
-        found.append(
+        entries.append(
             HarmonicEntry(
                 name=name,
                 amplitude=amplitude / parameter.factor,
@@ -169,19 +180,19 @@ def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Float
                 sigma_phase_deg=None if spread is None else spread / DEGREE,
             )
         )
-    return found
+    return entries
 
 
 def log_sum_exp(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
-    found: Floats
+    total: Floats
     if values.size <= FEW:
-        found = np.logaddexp.reduce(values, axis=axis)
-        return found
+        total = np.logaddexp.reduce(values, axis=axis)
+        return total
     top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
     with np.errstate(divide="ignore"):
-        found = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
-    return found
+        total = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
+    return total
 
 
 def forms_of(strength: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS) -> tuple[Floats, Floats]:
@@ -192,8 +203,8 @@ def forms_of(strength: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_
 
 def by_size(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
     """The weighted log marginal likelihood ratio (..., sizes) of squared scores (..., k) for each size."""
-    found: Floats = (squares[..., None, :] @ forms[0])[..., 0, :] + forms[1]
-    return found
+    logs: Floats = (squares[..., None, :] @ forms[0])[..., 0, :] + forms[1]
+    return logs
 
 
 def log_evidence(squares: Floats, strength: Floats) -> Floats:

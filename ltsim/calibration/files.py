@@ -1,4 +1,4 @@
-"""calibration.json with its tables: written whole or not at all, and read back."""
+"""calibration.json with its tables, written whole or not at all and read back; history.json."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,10 @@ import numpy as np
 
 from ltsim.adjustment.joint import COVARIANCE, covariance_csv
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, VerdictEntry
+from ltsim.calibration.events import events
+from ltsim.calibration.history import History
+from ltsim.calibration.history_schema import CalibrationOf, CourseEntry, HistoryFile
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.notation import listing
@@ -62,9 +65,9 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
     RecordError
         When a column is missing or a field is no number.
     """
-    found = TARGETS.parsed(read_text(file), file)
-    numbers = found.numbers(*TARGETS.header[1:]) * MILLIMETRE
-    return tuple(found.column("target")), numbers[:, :3], numbers[:, 3:]
+    table = TARGETS.parsed(read_text(file), file)
+    numbers = table.numbers(*TARGETS.header[1:]) * MILLIMETRE
+    return tuple(table.column("target")), numbers[:, :3], numbers[:, 3:]
 
 
 def calibration_of(source: CalibrationSource) -> Calibration:
@@ -76,13 +79,13 @@ def read_calibration(path: Path) -> Calibration:
     """The parameters of a `calibration.json` (or of the folder that holds one), with covariance and fit.
 
     Stations, targets and criteria belong to the network of that calibration and are not read back. A file
-    without a covariance gets a diagonal one; parameters that it lacks are zero with their prior sigma, which the
-    notes of the result say.
+    without a covariance gets a diagonal one; missing parameters are zero with their prior sigma, as the notes of the
+    result report.
 
     Raises
     ------
     RecordError
-        One sentence: which key, what was found, what would be right.
+        One sentence: key, value, expected value.
     """
     file = path / CalibrationFile.FILE if path.is_dir() else path
     return _calibration(read_result(file, CalibrationFile), file)
@@ -100,20 +103,20 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
     factor = np.array([FACTOR[row.unit] for row in rows])
 
     def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
-        """The default with what the file says, in SI."""
-        found, told = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
-        found[at] = np.where(np.isnan(told), default[at], told)
-        return found
+        """The default [SI], replaced by the values of the file."""
+        merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
+        merged[at] = np.where(np.isnan(given), default[at], given)
+        return merged
 
-    stated = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
+    nominal = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
     values = filled(np.zeros(len(place)), [row.value for row in rows])
-    prior = filled(stated, [row.prior_sigma for row in rows])
+    prior = filled(nominal, [row.prior_sigma for row in rows])
     applied = filled(values, [row.applied for row in rows])
     covariance = np.diag(filled(prior, [row.sigma for row in rows]) ** 2)
     if content.covariance:
         covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor, factor)
-    held, beyond_prior = np.zeros((2, len(place)), dtype=bool)
-    held[at], beyond_prior[at] = [row.held for row in rows], [row.beyond_prior for row in rows]
+    held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
+    held[at], prior_rejected[at] = [row.held for row in rows], [row.prior_rejected for row in rows]
     shape = (len(instruments), built.size)
     return Calibration(
         method=content.method,
@@ -123,11 +126,11 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         prior_sigma=prior.reshape(shape),
         covariance=covariance,
         held=held.reshape(shape),
-        beyond_prior=beyond_prior.reshape(shape),
-        informed=content.informed,
+        prior_rejected=prior_rejected.reshape(shape),
+        history_prior=content.history_prior,
         effects=content.effects,
         correction=content.correction,
-        weighed=None if np.array_equal(applied, values) else applied.reshape(shape),
+        applied_values=None if np.array_equal(applied, values) else applied.reshape(shape),
         fit=content.fit,
         undetermined=content.undetermined,
         frame=content.frame,
@@ -149,7 +152,8 @@ def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: 
             raise RecordError(f"parameters: unknown unit '{shown(row.unit)}'; {expected}", file=file, row=number)
         at.append(place[row.instrument, row.name])
         if at[-1] in at[:-1]:
-            raise RecordError(f"parameters: '{shown(row.name)}' stands there twice", file=file, row=number)
+            problem = f"parameters: '{shown(row.name)}' occurs twice; expected one entry per parameter"
+            raise RecordError(problem, file=file, row=number)
     return at
 
 
@@ -159,3 +163,35 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
     return (f"{file}: {which} not in the file and taken as zero: {listing(names)}",)
+
+
+def history_file(history: History) -> HistoryFile:
+    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
+    factors = np.array([p.factor for p in history.construction.parameters])
+    return HistoryFile(
+        construction=history.construction.name,
+        calibrations=tuple(
+            CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+            for label, c in zip(history.labels, history.calibrations, strict=True)
+        ),
+        parameters=tuple(_course(history, k) for k in range(history.construction.size)),
+        mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
+        constant=history.constancy(),
+        changes=tuple(history.changes()),
+        events=events(history),
+        since_first=history.change(0, len(history) - 1),
+    )
+
+
+def _course(history: History, k: int) -> CourseEntry:
+    parameter, population = history.construction.parameters[k], history.population
+    return CourseEntry(
+        name=parameter.name,
+        unit=parameter.unit,
+        values=(history.values[:, k] / parameter.factor).tolist(),
+        sigmas=(history.sigma[:, k] / parameter.factor).tolist(),
+        prior_sigma=history.prior_sigma[k] / parameter.factor,
+        mean=population.mean[k] / parameter.factor,
+        spread=population.spread[k] / parameter.factor,
+        constant=history.constancy(k),
+    )

@@ -1,7 +1,7 @@
 """Calibrations of one instrument over time: the course of its parameters, and whether it has changed.
 
-Two calibrations that share a prior are not independent: where the readings say nothing both give the prior's zero,
-and their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
+Two calibrations that share a prior are not independent: without information both give the prior's zero, and
+their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
 unchanged instrument would give, drawn from the prior and measured anew each time.
 """
 
@@ -18,7 +18,7 @@ from scipy import linalg, special
 
 from ltsim.adjustment.remedies.undetermined import SILENT
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.evidence import ReadingsEvidence, evidence
+from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
 from ltsim.calibration.history_schema import ChangeEntry, ChiSquareEntry, DifferenceEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, option
@@ -28,10 +28,11 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 
 RESOLVED = 1e-12
-"""Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
+"""Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
+variances."""
 ROUNDS, SETTLED = 2000, 1e-4
 LEVEL = 0.01
-"""Chance that an unchanged instrument shows any changed parameter between two calibrations (Holm over them)."""
+"""A parameter is reported as changed at this family-wise level (Holm over the parameters of two calibrations)."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class History(Result):
     """Calibrations of one instrument in the order of time."""
 
     labels: tuple[str, ...]
-    """One a calibration."""
+    """Labels, one per calibration."""
     calibrations: tuple[Calibration, ...]
     """Each of one instrument, all with the same construction."""
     days: Floats | None = None
@@ -76,24 +77,24 @@ class History(Result):
             uncertainty, or the dates are none or out of order.
         """
         if len(named) < 2:
-            raise RecordError(f"found {len(named)} calibration(s), expected at least two to compare")
+            raise RecordError(f"the history has {len(named)} calibration(s); expected at least two to compare")
         if len({c.construction.names for _, c in named}) > 1:
             raise RecordError("the calibrations hold different parameters, expected one construction for all")
         if not named[0][1].construction.size:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in named:
-            if calibration.informed:
+            if calibration.history_prior:
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
-                raise RecordError(f"{how}; expected calibrations that know nothing of each other")
-        chosen = _estimated([one_instrument(calibration, instrument, label) for label, calibration in named])
+                raise RecordError(f"{how}; expected calibrations that are independent of each other")
+        chosen = _estimated([single_instrument(calibration, instrument, label) for label, calibration in named])
         for (label, _), calibration in zip(named, chosen, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
                 name = calibration.construction.names[unsure[0]]
                 raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
         labels = tuple(label for label, _ in named)
-        stated = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
-        return cls(labels, chosen, days_of(labels, stated))
+        declared = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
+        return cls(labels, chosen, days_of(labels, declared))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -119,12 +120,15 @@ class History(Result):
         return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
 
     @cached_property
-    def _evidence(self) -> list[ReadingsEvidence]:
-        return [evidence(c.values[0], c.covariance, c.prior_used[0], self.prior_sigma) for c in self.calibrations]
+    def _evidence(self) -> list[LikelihoodInformation]:
+        return [
+            likelihood_information(c.values[0], c.covariance, c.prior_used[0], self.prior_sigma)
+            for c in self.calibrations
+        ]
 
     @cached_property
-    def _told(self) -> Floats:
-        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations tell something about on average."""
+    def _informative(self) -> Floats:
+        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations inform on average."""
         remaining = np.mean([e.remaining for e in self._evidence], axis=0)
         values, vectors = linalg.eigh(remaining)
         return vectors[:, 1.0 - values > SILENT]
@@ -135,11 +139,11 @@ class History(Result):
 
         Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
         """
-        own = np.array([e.remaining for e in self._evidence])
+        remaining = np.array([e.remaining for e in self._evidence])
         pull = np.array([e.remaining @ e.information for e in self._evidence])
         joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
         for i in range(len(self)):
-            joint[i, :, i] += pull[i] @ own[i]
+            joint[i, :, i] += pull[i] @ remaining[i]
         return joint
 
     def _lines(self) -> list[str]:
@@ -153,7 +157,7 @@ class History(Result):
         return {"values": lambda: self._course(self.values), "sigmas": lambda: self._course(self.sigma)}
 
     def _course(self, numbers: Floats) -> Columns:
-        """A row a calibration, a column a parameter."""
+        """Table with one row per calibration and one column per parameter."""
         columns = {f"{p.name} [{p.unit}]": numbers[:, k] / p.factor for k, p in enumerate(self.construction.parameters)}
         return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
 
@@ -172,19 +176,21 @@ class History(Result):
         holds = chances[order] > LEVEL / np.arange(len(order), 0, -1)
         changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
         unit = self.prior_sigma / [p.factor for p in parameters]
-        told: dict[str, Any] = _test(*self._contrasted(contrast, self._told)).model_dump()
+        test: dict[str, Any] = _test(*self._contrasted(contrast, self._informative)).model_dump()
         return ChangeEntry(
-            **told | {"from": self.labels[first], "to": self.labels[second]},
+            **test | {"from": self.labels[first], "to": self.labels[second]},
             changed=tuple(parameters[k].name for k in changed),
             parameters=tuple(
-                DifferenceEntry(name=p.name, difference=gap[k] * one, sigma=sigma[k] * one, unit=p.unit, p_value=chance)
-                for k, (p, one, chance) in enumerate(zip(parameters, unit, chances, strict=True))
+                DifferenceEntry(
+                    name=p.name, difference=gap[k] * scale, sigma=sigma[k] * scale, unit=p.unit, p_value=chance
+                )
+                for k, (p, scale, chance) in enumerate(zip(parameters, unit, chances, strict=True))
             ),
         )
 
     @cached_property
     def _gain(self) -> Floats:
-        """(p,) mean share of each parameter's prior variance that the readings removed."""
+        """Mean share (p,) of each parameter's prior variance that the readings removed."""
         return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
 
     def changes(self) -> list[ChangeEntry]:
@@ -192,10 +198,10 @@ class History(Result):
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 
     def constancy(self, parameter: int | None = None) -> ChiSquareEntry:
-        """Whether one set of values explains all calibrations: of all parameters, or of one by its place."""
+        """Test that one set of values explains all calibrations: of all parameters, or of one by its index."""
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter is None:
-            return _test(*self._contrasted(contrast, self._told))
+            return _test(*self._contrasted(contrast, self._informative))
         if not self._gain[parameter] > SILENT:
             return ChiSquareEntry.of(0.0, 0)
         return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
@@ -211,24 +217,24 @@ class History(Result):
     def population(self) -> Population:
         """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
 
-        By expectation-maximisation with the mean as an unknown of its own (Patterson and Thompson, Biometrika 58
-        (1971) 545): a mean found from the same few calibrations does not make them look alike. The mean keeps the
-        prior, which alone speaks of combinations that no calibration tells: they are as little known of many
-        calibrations as of one. Where no calibration tells anything of a parameter, its spread is the prior sigma.
+        By expectation-maximisation with the mean as an unknown (Patterson and Thompson, Biometrika 58 (1971) 545), so
+        that estimating the mean from the same few calibrations does not bias the spread. The mean keeps the prior for
+        combinations that no calibration informs. The spread of a parameter that no calibration informs is the prior
+        sigma.
         """
         information = np.array([e.information for e in self._evidence])
-        told = np.array([e.told for e in self._evidence])
-        one, variance = np.eye(self.construction.size), np.ones(self.construction.size)
-        mean, of_mean = np.zeros(self.construction.size), one
+        vectors = np.array([e.information_vector for e in self._evidence])
+        identity, variance = np.eye(self.construction.size), np.ones(self.construction.size)
+        mean, of_mean = np.zeros(self.construction.size), identity
         for _ in range(ROUNDS):
-            # With N and V: what an estimate keeps of the mean, and the covariance of the estimate and of the mean.
-            keeps = np.linalg.inv(one + variance[:, None] * information)
-            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + one)
-            mean = of_mean @ np.einsum("kba,kb->a", keeps, told)
-            single = np.einsum("kab,kb->ka", keeps, variance * told + mean)
-            apart = keeps - one
-            left = keeps * variance + apart @ of_mean @ np.swapaxes(apart, 1, 2)
-            spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", left), axis=0)
+            # With N and V: weight of the mean in an estimate, covariance of the estimate, covariance of the mean.
+            keeps = np.linalg.inv(identity + variance[:, None] * information)
+            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + identity)
+            mean = of_mean @ np.einsum("kba,kb->a", keeps, vectors)
+            single = np.einsum("kab,kb->ka", keeps, variance * vectors + mean)
+            deviation = keeps - identity
+            remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
+            spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
             spread = np.maximum(spread, RESOLVED)
             settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
             variance = spread
@@ -239,28 +245,28 @@ class History(Result):
         unit = self.prior_sigma
         return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
-    def informed(self, calibration: Calibration) -> Calibration:
-        """A calibration with the history's population as its prior instead of the maker's.
+    def as_prior_of(self, calibration: Calibration) -> Calibration:
+        """Calibration with the history's population as its prior instead of the maker's.
 
         For a calibration that is not part of the history. Parameters that hardly vary are taken from the history,
         those that do from the calibration, each by its weight.
         """
-        known, unit = self.population, self.prior_sigma
-        own = one_instrument(calibration, None, "the calibration")
-        spread = known.spread / unit
-        said = evidence(own.values[0], own.covariance, own.prior_used[0], unit)
-        covariance = np.linalg.inv(said.information + np.diag(spread**-2))
-        values = covariance @ (said.told + known.mean / unit * spread**-2)
+        population, unit = self.population, self.prior_sigma
+        single = single_instrument(calibration, None, "the calibration")
+        spread = population.spread / unit
+        likelihood = likelihood_information(single.values[0], single.covariance, single.prior_used[0], unit)
+        covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
+        values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
         return replace(
-            own,
+            single,
             values=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
-            prior_sigma=known.spread[None],
+            prior_sigma=population.spread[None],
             correction=None,
         )
 
 
-def one_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
+def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
     """The part of a calibration that belongs to one instrument, without its network.
 
     Raises
@@ -272,7 +278,7 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
     if len(names) == 1:
         return calibration
     if instrument not in names:
-        raise RecordError(f"{label} holds the instruments {', '.join(names)}: say which ({option('instrument')})")
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
     return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
 
 
@@ -287,26 +293,28 @@ def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
 def _test(gap: Floats, spread: Floats) -> ChiSquareEntry:
     """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
     values, vectors = linalg.eigh(0.5 * (spread + spread.T))
-    kept = values > RESOLVED * max(float(values[-1]), 0.0)
-    z = (vectors[:, kept].T @ gap) / np.sqrt(values[kept])
-    return ChiSquareEntry.of(float(z @ z), int(kept.sum()))
+    resolved = values > RESOLVED * max(float(values[-1]), 0.0)
+    z = (vectors[:, resolved].T @ gap) / np.sqrt(values[resolved])
+    return ChiSquareEntry.of(float(z @ z), int(resolved.sum()))
 
 
 def days_of(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
     """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
     if len(dates) != len(labels):
-        raise RecordError(f"found {len(dates)} dates for {len(labels)} calibrations, expected one each")
-    stated = [date for date in dates if date]
-    if len(stated) < len(dates):
+        problem = f"there are {len(dates)} dates for {len(labels)} calibrations"
+        raise RecordError(f"{problem}; expected one date per calibration")
+    declared = [date for date in dates if date]
+    if len(declared) < len(dates):
         return None
     try:
-        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in stated]
+        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in declared]
     except ValueError:
-        raise RecordError(f"found the dates {', '.join(stated)}, expected such as 2026-05-31") from None
+        problem = f"the dates {', '.join(declared)} are not all in ISO form"
+        raise RecordError(f"{problem}; expected dates such as 2026-05-31") from None
     days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
     back = np.flatnonzero(np.diff(days) < 0)
     if len(back):
         i = int(back[0])
-        message = f"{labels[i]} ({stated[i]}) stands before {labels[i + 1]} ({stated[i + 1]})"
+        message = f"{labels[i]} ({declared[i]}) is listed before {labels[i + 1]} ({declared[i + 1]})"
         raise RecordError(f"{message}; expected calibrations in the order of time")
     return days

@@ -1,4 +1,4 @@
-"""history.json: what stands in it, for writers and readers."""
+"""Schema of history.json."""
 
 from typing import ClassVar, Literal, Self
 
@@ -17,7 +17,7 @@ class ChiSquareEntry(Entry):
     dof: int
     """Degrees of freedom."""
     p_value: Finite
-    """Chance of as much or more in a correct model; 1 without degrees of freedom."""
+    """p-value: probability of as large a chi-square or larger; 1 without degrees of freedom."""
 
     @classmethod
     def of(cls, chi2: float, dof: int) -> Self:
@@ -37,7 +37,7 @@ class DifferenceEntry(Entry):
     unit: str
     """Unit of the difference and of its standard deviation."""
     p_value: Finite
-    """Chance of as much or more in a correct model."""
+    """Two-sided p-value of the difference without a change."""
 
 
 class ChangeEntry(ChiSquareEntry):
@@ -75,7 +75,7 @@ class CourseEntry(Entry):
 
 
 class EventEntry(Entry):
-    """A step of one parameter that stands out of how it moves from one calibration to the next."""
+    """A step of one parameter that is an outlier among its steps between calibrations."""
 
     from_: str = Field(alias="from")
     """The earlier calibration."""
@@ -92,7 +92,7 @@ class EventEntry(Entry):
     unit: str
     """Unit of `difference`, `sigma` and `usual`."""
     p_value: Finite
-    """Chance of as much without a step."""
+    """p-value of the step, corrected for all steps and parameters."""
 
 
 class CalibrationOf(Entry):
@@ -123,12 +123,12 @@ class HistoryFile(ResultFile):
     changes: tuple[ChangeEntry, ...] = ()
     """From each to the next."""
     events: tuple[EventEntry, ...] = ()
-    """Steps that stand out; empty too where there are too few calibrations to tell."""
+    """Significant steps; empty also where there are too few calibrations to test them."""
     since_first: ChangeEntry
     """From the first to the last."""
 
     @model_validator(mode="after")
-    def _one_value_a_calibration(self) -> Self:
+    def _values_match_calibrations(self) -> Self:
         count = len(self.calibrations)
         for course in self.parameters:
             if len(course.values) != count or len(course.sigmas) != count:

@@ -17,11 +17,11 @@ from ltsim.adjustment.known import KINDS, SCALED
 from ltsim.adjustment.moving import Motion, moving_stations
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.calibration import result
-from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.conflict import UNEXPLAINED, beyond_prior, disagreement, too_quiet
-from ltsim.calibration.known import WIDE, Choice
-from ltsim.calibration.worth import correction_of
+from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
+from ltsim.calibration.prior_conflict import UNEXPLAINED, disagreement, noise_overstated, prior_rejected
+from ltsim.calibration.prior_information import WIDE, Choice
+from ltsim.calibration.shrinkage import correction_of
 from ltsim.core.errors import ConvergenceError, NetworkError
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
@@ -32,9 +32,9 @@ from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
 
 PASSES = 5
-"""Adjustments until the noise and the parameters that contradict their prior are settled."""
+"""Largest number of adjustments until the noise and the set of widened priors no longer change."""
 MISFIT = 1e-3
-"""Chance of a larger chi-square in a plain network, below which it is asked whether a station moves."""
+"""Stations are tested for motion if the p-value of chi-square is below this."""
 
 
 def calibrate_network(
@@ -47,18 +47,18 @@ def calibrate_network(
     datum: Sequence[str] | None = None,
     choice: Choice | None = None,
     weigh: bool = True,
-    extra_effects: Sequence[Wanted] = (),
+    extra_effects: Sequence[RequestedEffect] = (),
 ) -> Calibration:
     """The method `network` of `ltsim.calibrate`, whose options and errors it has, and further ones of programs.
 
     Parameters
     ----------
     choice : Choice, optional
-        Which parameters to estimate and from what prior; default all, from what the set-up states.
+        Parameters to estimate, and their prior; default all, with the prior of the set-up.
     weigh : bool
-        Find out what of the estimates is worth applying (`calibration.worth`), let constants that contradict their
-        prior follow the readings, and identify simple causes; without it the model is the stated one whatever the
-        readings show, and the estimates are those of the stated priors, linear in the readings.
+        Shrink the correction (`calibration.shrinkage`), widen the prior of constants that contradict it, and identify
+        simple causes. Without it the model and the priors are the declared ones, and the estimates are linear in the
+        readings.
     extra_effects : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
     """
@@ -68,36 +68,37 @@ def calibrate_network(
         wanted.check(recording, built)
     modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
     expected = expected_sigmas(recording, built) if weigh else prior_sigmas(recording, built)
-    prior, informed = chosen.over(expected, recording, built), chosen.prior is not None
+    prior, history_prior = chosen.over(expected, recording, built), chosen.prior is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
-    quiet_by, heard = "", True
-    # Beside effects that are asked for, a simple cause would take what they are to take.
+    quiet_by, noise_may_differ = "", True
+    # A simple cause could absorb an effect that the user requests.
     selection = identified(recording, built, prior) if weigh and not extra_effects else None
-    for left in reversed(range(PASSES if weigh else 1)):
+    for remaining in reversed(range(PASSES if weigh else 1)):
         adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed), selection)
         try:
-            found, fits = estimated_beside(adjusted, modes, extra_effects)
+            adjustment, fits = fit_with_extra_effects(adjusted, modes, extra_effects)
         except ConvergenceError:
             if not quiet_by:
                 raise
-            grouping, quiet_by, heard = None, "", False  # what scatters so little has no noise of its own
+            # readings that scatter so little do not determine their noise
+            grouping, quiet_by, noise_may_differ = None, "", False
             continue
-        further = freed if informed or chosen.free or not left else beyond_prior(found, prior)
-        if left and heard and grouping is None and too_quiet(found):
-            grouping, quiet_by = "observable", f"{found.sigma0:.2f}"
+        further = freed if history_prior or chosen.free or not remaining else prior_rejected(adjustment, prior)
+        if remaining and noise_may_differ and grouping is None and noise_overstated(adjustment):
+            grouping, quiet_by = "observable", f"{adjustment.sigma0:.2f}"
         elif np.array_equal(freed, further):
             break
         else:
             freed = further
-    calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)
+    calibration = replace(_calibration(recording, adjustment, "network", advise=advise, robust=robust), effects=fits)
     calibration = replace(calibration, tests=() if selection is None else outcomes(selection))
     if weigh:
         wider = WIDE if chosen.free else None
-        worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
-        criteria = result.criteria_of(found.recording, found, built, weighed)
-        calibration = replace(calibration, correction=worth, weighed=weighed, criteria=criteria)
-    calibration = replace(calibration, prior_sigma=prior.sigma, beyond_prior=freed, informed=informed)
-    quiet = f"the readings scatter {quiet_by} times as much as stated, which only the noise does: it is estimated"
+        worth, applied_values = correction_of(adjustment, calibration.names, history_prior=history_prior, wider=wider)
+        criteria = result.criteria_of(adjustment.recording, adjustment, built, applied_values)
+        calibration = replace(calibration, correction=worth, applied_values=applied_values, criteria=criteria)
+    calibration = replace(calibration, prior_sigma=prior.sigma, prior_rejected=freed, history_prior=history_prior)
+    quiet = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
     notes = [*calibration.notes, *([quiet] if quiet_by else []), *disagreement(calibration)]
     return replace(calibration, notes=tuple(notes))
 
@@ -115,7 +116,7 @@ def adjust(
     ----------
     recording : Recording, str or Path
     robust : bool
-        Leave out readings that do not belong, each tested again at the end.
+        Exclude outlying readings, each tested again at the end.
     noise_from_data : bool
         Estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
@@ -138,18 +139,18 @@ def adjust(
     >>> lt.adjust(recording).to_dataframe("targets").shape
     (28, 7)
     """
-    seen = recording_of(recording)
+    source = recording_of(recording)
     chosen = None if datum is None else names(datum)
-    selection = identified(seen)
-    found = _adjusted(seen, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
-    calibration = _calibration(seen, found, "adjustment", advise=False, robust=robust)
+    selection = identified(source)
+    adjustment = _adjusted(source, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
+    calibration = _calibration(source, adjustment, "adjustment", advise=False, robust=robust)
     return replace(calibration, tests=() if selection is None else outcomes(selection))
 
 
 def _adapted(
     recording: Recording, construction: Construction, selection: Selection, effects: Sequence[Signature], **how: Any
 ) -> Adjustment:
-    """The adjustment with the simple causes in its model: from their state, and without outliers that are gross."""
+    """Adjustment with the simple causes in its model, started at their state, without gross outliers."""
     fit = selection.fit
     changed = changed_recording(recording, fit.hypotheses)
     instrument = np.zeros((len(recording.instruments), construction.size))
@@ -157,7 +158,7 @@ def _adapted(
         instrument = fit.state.instrument
     extra = np.zeros(sum(len(e.parameters) for e in effects))
     start = replace(fit.state, instrument=instrument, extra=np.concatenate([extra, fit.state.extra]))
-    found = adjusted_network(
+    adjustment = adjusted_network(
         changed,
         construction,
         effects=(*effects, *fit.effects),
@@ -166,7 +167,7 @@ def _adapted(
         **how,
     )
     causes = tuple(sentence_of(fit, choice.hypothesis) for choice in selection.choices)
-    return replace(found, causes=causes)
+    return replace(adjustment, causes=causes)
 
 
 def _grouping(noise_from_data: bool) -> Grouping | None:
@@ -185,39 +186,39 @@ def _adjusted(
 ) -> Adjustment:
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     if selection is not None and selection.leads:
-        found = _adapted(recording, construction, selection, effects, **how)
-        require_result(found)
-        return _in_frame(found, datum)
+        adjustment = _adapted(recording, construction, selection, effects, **how)
+        require_result(adjustment)
+        return _in_frame(adjustment, datum)
     how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
-    found = adjusted_network(recording, construction, effects=effects, **how)
-    if found.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in found.wrong):
+    adjustment = adjusted_network(recording, construction, effects=effects, **how)
+    if adjustment.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in adjustment.wrong):
         how["judging"] = KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
-        found = adjusted_network(recording, construction, effects=effects, **how)
-    require_result(found)
-    if moving := _moving(found):
-        found = adjusted_network(recording, construction, effects=(*effects, *moving), **how)
-        require_result(found)
-    return _in_frame(found, datum)
+        adjustment = adjusted_network(recording, construction, effects=effects, **how)
+    require_result(adjustment)
+    if moving := _moving(adjustment):
+        adjustment = adjusted_network(recording, construction, effects=(*effects, *moving), **how)
+        require_result(adjustment)
+    return _in_frame(adjustment, datum)
 
 
-def _in_frame(found: Adjustment, datum: Sequence[str] | None) -> Adjustment:
+def _in_frame(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
     """The adjustment; NetworkError where a datum is asked for that control points define."""
-    if datum and not found.problem.free.shape[1]:
+    if datum and not adjustment.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
-    return found
+    return adjustment
 
 
-def _moving(found: Adjustment) -> tuple[Motion, ...]:
-    """Stations that move; what an instrument's errors do to the readings of a plain network moves none."""
-    if found.construction.size:
-        return moving_stations(found)
-    if not found.p_value < MISFIT and not found.outliers():
+def _moving(adjustment: Adjustment) -> tuple[Motion, ...]:
+    """Moving stations; in a network without instrument parameters they are tested with these estimated."""
+    if adjustment.construction.size:
+        return moving_stations(adjustment)
+    if not adjustment.p_value < MISFIT and not adjustment.outliers():
         return ()
     try:
-        built = declared_construction(found.recording)
-    except NetworkError:  # of two designs: nothing is known of their errors
-        return moving_stations(found)
-    return moving_stations(adjusted_network(found.recording, built, robust=True))
+        built = declared_construction(adjustment.recording)
+    except NetworkError:  # two designs: they have no common construction
+        return moving_stations(adjustment)
+    return moving_stations(adjusted_network(adjustment.recording, built, robust=True))
 
 
 def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
@@ -248,7 +249,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         verdict=result.verdict_of(adjustment),
         robust=robust,
         noise=result.noise_of(adjustment),
-        known=result.known_of(adjustment),
+        reference_values=result.reference_values_of(adjustment),
         lost_targets=adjustment.lost_targets,
         axes=result.axes_of(adjustment),
         recording=SourceEntry.of(source),

@@ -1,8 +1,8 @@
 """The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
 
 Distances between all pairs of targets are compared between all pairs of stations, and those of the gauge with their
-known lengths. Distances need no poses. A station's two faces count as two stations: averaged, they would hide
-what flips with the face.
+reference lengths. Distances need no poses. A station's two faces count as two stations: averaged, they would hide
+errors that change sign with the face.
 
 For least squares the sum over pairs of stations is the number of stations times the sum of squares of deviations from
 the mean over stations, which makes the objective linear in the number of stations.
@@ -27,7 +27,7 @@ LARGEST = 2e8
 
 @dataclass(frozen=True)
 class Distances:
-    """All distances within each set (a station and a face) at some parameters, and their derivatives."""
+    """All distances within each set (a station and a face) at given parameters, and their derivatives."""
 
     length: Floats
     """(D,) [m]."""
@@ -41,7 +41,7 @@ class Distances:
 
 @dataclass(frozen=True)
 class DistanceProblem:
-    """A recording seen through its distances."""
+    """Distances of a recording as functions of the parameters and the readings."""
 
     recording: Recording
     """Rows without a range or an angle are not used."""
@@ -51,7 +51,7 @@ class DistanceProblem:
 
     @cached_property
     def gauge(self) -> GaugeRows:
-        """Known lengths in the workshop."""
+        """Reference lengths in the workshop."""
         return GaugeRows.of(self.recording)
 
     @cached_property
@@ -66,10 +66,10 @@ class DistanceProblem:
         count = len(self.recording.targets)
         key = self.sets * count + self.recording.target
         whole = np.flatnonzero(self.recording.measured.all(axis=1))
-        kept, inverse, repeats = np.unique(key[whole], return_inverse=True, return_counts=True)
+        keys, inverse, repeats = np.unique(key[whole], return_inverse=True, return_counts=True)
         entries = (1.0 / repeats[inverse], (inverse, whole))
-        matrix = sp.csr_array(sp.coo_array(entries, shape=(len(kept), len(key))))
-        return matrix, np.stack([kept // count, kept % count], axis=1)
+        matrix = sp.csr_array(sp.coo_array(entries, shape=(len(keys), len(key))))
+        return matrix, np.stack([keys // count, keys % count], axis=1)
 
     @cached_property
     def _pairs(self) -> tuple[Ints, Ints, Ints]:
@@ -136,8 +136,8 @@ class DistanceProblem:
         row = np.repeat(np.arange(n), 3)
         total = sp.csr_array((len(unit), 3 * n))
         for i in range(3):
-            own = sp.csr_array(sp.coo_array((by_reading[:, i].ravel(), (row, np.arange(3 * n))), (n, 3 * n)))
-            total = total + along[i] @ (point_rows @ own)
+            block = sp.csr_array(sp.coo_array((by_reading[:, i].ravel(), (row, np.arange(3 * n))), (n, 3 * n)))
+            total = total + along[i] @ (point_rows @ block)
         return sp.csr_array(total)
 
     def gauge_matches(self, distances: Distances) -> tuple[Ints, Ints]:
@@ -145,8 +145,8 @@ class DistanceProblem:
         count = len(self.recording.targets)
         low = np.minimum(self.gauge.first, self.gauge.second)
         high = np.maximum(self.gauge.first, self.gauge.second)
-        known = {int(key): i for i, key in enumerate(low * count + high)}
-        which = np.array([known.get(int(group), -1) for group in distances.group], dtype=np.int64)
+        index = {int(key): i for i, key in enumerate(low * count + high)}
+        which = np.array([index.get(int(group), -1) for group in distances.group], dtype=np.int64)
         rows = np.flatnonzero(which >= 0)
         return rows, which[rows]
 

@@ -1,4 +1,4 @@
-"""From an adjusted network to a calibration: what every method writes down in the same way."""
+"""Parts of a calibration result that all methods derive from the adjusted network in the same way."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from ltsim.adjustment.known import UNITS
 from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.calibration.calibration import SHOWN_UNITS
-from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
+from ltsim.calibration.schema import AxesEntry, Combination, Fit, NoiseRow, OutlierRow, ReferenceValueEntry, StationPose
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
@@ -27,7 +27,7 @@ from ltsim.physics.model.measurement import smr_lift
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
 CONTRADICTS = 3.0
-"""Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
+"""A reading of an undetermined target is reported if it is off by more than this many sigmas from its last place."""
 UP = np.array([False, False, True])
 
 
@@ -66,7 +66,7 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
 
 
 def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Gross pointings first, other readings that were left out, then those by the test that the verdict trusts."""
+    """Gross pointings first, then other excluded readings, then outliers by the test that the verdict trusts."""
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
@@ -77,19 +77,19 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=size / factor, w=w, **named, **more)
 
-    found = []
+    rows = []
     for i in np.flatnonzero(adjustment.gross).tolist():
         k = int(np.argmax(np.abs(scaled[i])))
-        found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, left_out=True))
+        rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
     single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
-        found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
+        rows.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
     trusted = adjustment.outliers(estimated=verdict_of(adjustment).by_estimate)
-    return (*found, *(row(o.row, o.observable, o.size, o.w, p_value=o.p_value) for o in trusted))
+    return (*rows, *(row(o.row, o.observable, o.size, o.w, p_value=o.p_value) for o in trusted))
 
 
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
-    """(n, 3) Readings whose residual tells an error: of a target that lost its place, those that contradict others."""
+    """Mask (n, 3) of readings whose residual is an error: of an undetermined target those that contradict others."""
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.lost_targets)[recording.target]
     untied = np.isin(recording.targets, adjustment.untied)[recording.target]
@@ -97,12 +97,12 @@ def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
 
 
 def verdict_of(adjustment: Adjustment) -> Verdict:
-    """Verdict on the test to trust, with the global test at the level at which fits are said to agree."""
+    """Verdict on the test to trust, with the global test at the level `AGREEMENT_LEVEL`."""
     return verdict(adjustment, level=AGREEMENT_LEVEL)
 
 
 def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
-    """The noise that was estimated, group by group."""
+    """Estimated noise, one row per group."""
     problem, recording = adjustment.problem, adjustment.recording
     rows = []
     for c in adjustment.components:
@@ -129,43 +129,43 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     return tuple(rows)
 
 
-def known_of(adjustment: Adjustment) -> tuple[KnownEntry, ...]:
-    """Known coordinates, lengths and levels, each tested by the rest: an entry a component."""
-    found = []
-    for test, k in [(one, k) for one in adjustment.known for k in range(len(one.error))]:
+def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
+    """Reference coordinates, lengths and levels, each tested by the rest: one entry per component."""
+    entries = []
+    for test, k in ((each, k) for each in adjustment.known for k in range(len(each.error))):
         unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
-        one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
-        entry = KnownEntry(
+        is_scalar, is_tested = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
+        entry = ReferenceValueEntry(
             kind=test.kind,
             name=test.name,
-            component="" if one else (test.axes or "xy")[k],
+            component="" if is_scalar else (test.axes or "xy")[k],
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
-            sigma_error=float(test.sigma_error[k]) / factor if sure else None,
-            minimal_detectable=float(test.minimal_detectable[k]) / factor if sure else None,
+            sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
+            minimal_detectable=float(test.minimal_detectable[k]) / factor if is_tested else None,
             unit=unit,
             redundancy=float(test.redundancy[k]),
             w=test.w,
-            left_out=test.left_out,
+            excluded=test.left_out,
         )
-        found.append(entry)
-    return tuple(found)
+        entries.append(entry)
+    return tuple(entries)
 
 
 def axes_of(adjustment: Adjustment) -> AxesEntry | None:
-    """Standard deviations of axes that stated coordinates give, by what these miss the network; None without."""
-    kept = [test for test in adjustment.axes if not test.left_out]
-    if not kept:
+    """Standard deviations of axes that declared coordinates define, from their misfit to the network; None without."""
+    used = [test for test in adjustment.axes if not test.left_out]
+    if not used:
         return None
-    places = adjustment.state.points[[adjustment.recording.targets.index(test.name) for test in kept]]
+    places = adjustment.state.points[[adjustment.recording.targets.index(test.name) for test in used]]
     centre = places.mean(axis=0)
     free = about(adjustment.problem.free, centre)
     motion = rigid_motion(places, centre) @ free
-    misses = np.concatenate([test.residual for test in kept])
+    misses = np.concatenate([test.residual for test in used])
     variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
     sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
     return AxesEntry(
-        targets=tuple(test.name for test in kept),
+        targets=tuple(test.name for test in used),
         sigma_position_mm=(sigma[:3] / MILLIMETRE).tolist(),
         sigma_rotation_arcsec=(sigma[3:] / ARCSECOND).tolist(),
     )
@@ -179,30 +179,30 @@ def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the fit of the coordinates that only define the axes; empty without such coordinates."""
-    kept = [test for test in adjustment.axes if not test.left_out]
+    used = [test for test in adjustment.axes if not test.left_out]
     fitted = axes_of(adjustment)
     if fitted is None:
         return ()
-    within = max(float(np.linalg.norm(test.residual)) for test in kept) / MILLIMETRE
+    within = max(float(np.linalg.norm(test.residual)) for test in used) / MILLIMETRE
     source = adjustment.recording.setup.axes
     out = [f"{test.name} ({test.off})" for test in adjustment.axes if test.left_out]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
-    said = (
-        f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm, which leaves "
-        f"the axes uncertain by {place} mm (x y z, in the middle) and {turn} arcsec (1 sigma)"
+    sentence = (
+        f"coordinates in the axes of {source}: {len(used)} targets fit it within {within:.3g} mm, which leaves "
+        f"the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
     )
-    return (f"{said}; left out of the datum: {listing(out)}" if out else said,)
+    return (f"{sentence}; excluded from the datum: {listing(out)}" if out else sentence,)
 
 
 def frame_of(adjustment: Adjustment) -> str:
-    """A sentence: what the coordinates refer to."""
+    """Description of the coordinate frame."""
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free.shape[1]
     first = recording.stations[0]
-    known, flat = problem.control, adjustment.open_heights[problem.control.target]
-    control = [recording.targets[i] for i in known.target[known.axes[:, :2].any(axis=1) | ~flat]]
+    control_rows, flat = problem.control, adjustment.open_heights[problem.control.target]
+    control = [recording.targets[i] for i in control_rows.target[control_rows.axes[:, :2].any(axis=1) | ~flat]]
     control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
     turned = [recording.stations[i] for i in problem.yaws.station]
@@ -219,23 +219,23 @@ def frame_of(adjustment: Adjustment) -> str:
     if not control and not problem.differences.names:
         return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []
-    return f"{' and '.join([*points, *levels, *zeros])}; what these leave free {rest}"
+    return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
 
 
 def _free_axes(adjustment: Adjustment, first: str) -> str:
     """Description of the frame that fixes the motions which no observation determines."""
     state, frame = adjustment.state, Frame.of(adjustment.recording)
-    if adjustment.datum is not None and _stated(adjustment):
+    if adjustment.datum is not None and _has_declared_places(adjustment):
         source = adjustment.recording.setup.axes
         axes = "the axes and the scale" if len(adjustment.problem.structure.scale) else "the axes"
-        return f"{axes} of {source}" if source else f"{axes} in which coordinates of the datum's targets are stated"
+        return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
         return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
     return f"the frame of station {first}"
 
 
-def _stated(adjustment: Adjustment) -> bool:
-    """Whether places are stated for targets of the datum."""
+def _has_declared_places(adjustment: Adjustment) -> bool:
+    """True if the set-up declares coordinates of targets of the datum."""
     names = adjustment.datum.names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
@@ -246,14 +246,14 @@ def undetermined_of(
 ) -> tuple[Combination, ...]:
     """The undetermined combinations of each instrument, named, with their cures (empty unless `advise`)."""
     instruments = adjustment.recording.instruments
-    nothing = [[""] * len(own) for own in directions]
+    nothing = [[""] * len(group) for group in directions]
     sentences = determining(adjustment, construction, directions) if advise else nothing
-    found = []
-    for i, own in enumerate(directions):
+    combinations = []
+    for i, group in enumerate(directions):
         names = construction.names_of(instruments)[i * construction.size :]
-        for direction, cure in zip(own, sentences[i], strict=True):
-            found.append(Combination(combination=direction.coefficients(names), gain=direction.gain, cure=cure))
-    return tuple(found)
+        for direction, cure in zip(group, sentences[i], strict=True):
+            combinations.append(Combination(combination=direction.coefficients(names), gain=direction.gain, cure=cure))
+    return tuple(combinations)
 
 
 def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Direction]]:
@@ -268,12 +268,12 @@ def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Directio
 def criteria_of(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats
 ) -> Criteria | None:
-    """The paper's criteria without the pointings that were left out; None where stations cannot be compared.
+    """The paper's criteria without excluded pointings; None where stations cannot be compared.
 
-    Errors whose size was known beforehand, of reflectors among them, stay in the readings, where `correct` leaves them.
+    Errors of declared size, such as those of reflectors, stay in the readings, where `correct` leaves them.
     """
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
-    recording = _one_smr(recording, adjustment)
+    recording = _as_reference_smr(recording, adjustment)
     try:
         if not construction.size:
             return evaluate(recording, use=use)
@@ -285,7 +285,7 @@ def criteria_of(
         return None
 
 
-def _one_smr(recording: Recording, adjustment: Adjustment) -> Recording:
+def _as_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
     """The recording as the reference SMR would have given it."""
     off = smr_lift(recording)
     if off is None:
@@ -302,8 +302,8 @@ def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     if Frame.of(recording).tells_hand(state.position, state.points):
         return ()
     return (
-        "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "
-        "off one plane (approximate_mm, position_mm) would",
+        "ranges alone do not distinguish a network from its mirror image; add approximate coordinates of a few targets "
+        "and stations that do not lie in one plane (approximate_mm, position_mm)",
     )
 
 
@@ -312,7 +312,7 @@ def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
     if not names:
         return ()
-    return (f"in plan alone, as no reading tells their height: {listing(names)}",)
+    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",)
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
@@ -320,9 +320,7 @@ def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
     if MODE_COLUMN not in adjustment.recording.circumstances:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
-        return ("two distance meters were used; one range zero was assumed for both (method network tells them apart)",)
+        return ("two distance meters were used with one range zero assumed for both; method network estimates both",)
     value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
-    return (
-        f"the interferometer's range zero less the absolute meter's, estimated beside the rest: {zero} (range-mode)",
-    )
+    return (f"the interferometer's range zero less the absolute meter's, was estimated: {zero} (range-mode)",)

@@ -1,4 +1,4 @@
-"""calibration.json and the tables beside it: what stands in them, for writers and readers."""
+"""Schema of calibration.json and its tables."""
 
 import math
 from typing import ClassVar, Literal, Self
@@ -21,10 +21,10 @@ COORDINATES = (
     *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
-TARGETS = Table("targets.csv", "adjusted targets; what readings do not tell has no row or height", COORDINATES)
+TARGETS = Table("targets.csv", "adjusted targets; undetermined ones have no row or no height", COORDINATES)
 RESIDUALS = Table(
     "residuals.csv",
-    "one row an observation that was used",
+    "one row per observation in use",
     (
         *numbers(row="of the recording's table, from 1"),
         *texts(station="name", target="name"),
@@ -47,10 +47,10 @@ class Fit(Entry):
     sigma0: Known = None
     """Square root of chi-square over degrees of freedom."""
     p_value: Known = None
-    """Chance of as much or more in a correct model, near 1 where readings scatter less; printed two-sided."""
+    """p-value: probability of as large a chi-square, near 1 where readings scatter less; printed two-sided."""
     iterations: int = 0
     """Steps of Gauss-Newton."""
-    status: str = "not stated"
+    status: str = "not declared"
     """`converged`, or why not."""
     sentence: str = ""
     """The same for a person."""
@@ -73,7 +73,7 @@ class ParameterEntry(Entry):
     """Prior standard deviation of the parameter, in `unit`."""
     held: bool = False
     """Not estimated: held at this value."""
-    beyond_prior: bool = False
+    prior_rejected: bool = False
     """The readings contradict the prior, and the estimate follows them."""
     applied: Known = None
     """Correction to apply to readings, in `unit`, where it differs from `value`."""
@@ -113,7 +113,7 @@ class Terms(Entry):
 
 
 class Combination(Terms):
-    """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
+    """A combination of parameters, in prior sigmas, that is not determined."""
 
     gain: Known = None
     """Share of the prior variance that the readings removed."""
@@ -150,7 +150,7 @@ class StationPose(Entry):
 
     @property
     def position(self) -> Floats:
-        """(3,) [m]; 0 for a height that nothing tells."""
+        """(3,) [m]; 0 for an undetermined height."""
         return np.nan_to_num(np.array(self.position_mm, dtype=np.float64)) * MILLIMETRE
 
     @property
@@ -160,12 +160,12 @@ class StationPose(Entry):
 
     @property
     def sigma_position(self) -> Floats:
-        """(3,) [m]; NaN where a file does not say."""
+        """(3,) [m]; NaN where the file has none."""
         return np.array(self.sigma_position_mm or [np.nan] * 3, dtype=np.float64) * MILLIMETRE
 
     @property
     def sigma_rotation(self) -> Floats:
-        """(3,) [rad]; NaN where a file does not say."""
+        """(3,) [rad]; NaN where the file has none."""
         return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
 
 
@@ -181,7 +181,7 @@ class AxesEntry(Entry):
 
 
 class OutlierRow(Entry):
-    """A reading that does not belong; `gross`: the largest of a whole pointing that was left out."""
+    """An outlying reading; `gross`: the largest of a whole pointing that was excluded."""
 
     row: int
     """Row of the recording's table, from 1."""
@@ -198,42 +198,42 @@ class OutlierRow(Entry):
     w: Finite
     """Normalised residual."""
     p_value: Known = None
-    """Chance of one reading as far out in a whole sound recording, by the test that is trusted; none where left out."""
+    """p-value, corrected for all readings, by the test that the verdict trusts; none where excluded."""
     gross: bool = False
-    """The largest of a whole pointing that was left out."""
-    left_out: bool = False
+    """It is the largest residual of a whole pointing that was excluded."""
+    excluded: bool = False
     """It did not take part in the adjustment."""
 
 
-class KnownEntry(Entry):
-    """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
+class ReferenceValueEntry(Entry):
+    """A component of a reference value, tested like a reading; coordinates that define only axes have kind `axes`."""
 
     kind: Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
     """Kind of reference value."""
     name: str
-    """Target, both ends of a length or a difference, station, or what `scale` is of."""
+    """Target, both ends of a length or a difference, station, or the observations whose `scale` is tested."""
     component: str = ""
     """x, y or z of a point or a difference; the two tilts of a level are x and y."""
     residual: Finite
-    """Stated less adjusted."""
+    """Declared minus adjusted value."""
     error: Finite
-    """By how much it is wrong by what the rest says."""
+    """Estimated error of the value, from all other observations."""
     sigma_error: Known = None
-    """Standard deviation of the error; null where the rest says nothing."""
+    """Standard deviation of the error; null without redundancy."""
     minimal_detectable: Known = None
-    """Smallest error that the test finds with 80 %."""
+    """Smallest error that the test detects with probability 80 %."""
     unit: str
     """Unit of residual, error, its standard deviation and `minimal_detectable`."""
     redundancy: Finite
-    """Share of an error that the residual shows."""
+    """Redundancy number: share of an error that shows in the residual."""
     w: Finite
-    """Root of the fall of chi-square without the whole known value."""
-    left_out: bool = False
-    """It contradicts the rest and had no say."""
+    """Square root of the decrease of chi-square without the whole reference value."""
+    excluded: bool = False
+    """It contradicts the rest and did not take part in the adjustment."""
 
 
 class NoiseRow(Entry):
-    """Noise that was found from the readings; no `factor_sigma`: too little redundancy, the factor is as stated."""
+    """Noise estimated from the readings; without `factor_sigma` the redundancy was too small and the factor is 1."""
 
     observable: str
     """`distance`, `azimuth`, `elevation` or `level`."""
@@ -268,15 +268,15 @@ class Correction(Entry):
     prior_scale: Positive
     """Most likely size of the parameters, in prior sigmas."""
     plausible_scale: tuple[Positive, Positive]
-    """The same from and to, each with 95 %."""
+    """Limits of that size, one-sided 95 % each."""
     uncorrected_um: NotNegative
-    """Expected rms error of a new point as it is read, in its set-up's frame, by the instrument's constants alone."""
+    """Expected rms error [um] of an uncorrected point in its set-up's frame, from the instrument's constants alone."""
     corrected_um: NotNegative
-    """The same after the correction."""
+    """Expected rms error [um] after the correction, from the constants alone."""
     noise_um: NotNegative = 0.0
-    """Rms of the distance that the noise of one reading of such a point makes."""
-    left_out: tuple[str, ...] = ()
-    """Parameters that are not applied: targets that were held out are predicted better without them."""
+    """Rms 3D error [um] from the noise of one reading of such a point."""
+    not_applied: tuple[str, ...] = ()
+    """Parameters that are not applied: held-out targets are predicted better without them."""
     sentences: tuple[str, ...] = ()
     """The same for a person."""
 
@@ -284,8 +284,8 @@ class Correction(Entry):
     def line(self) -> str:
         """The error of a new point without and with the correction."""
         before, after = (number(math.hypot(x, self.noise_um), 3) for x in (self.uncorrected_um, self.corrected_um))
-        noise = f"{number(self.noise_um, 3)} um by the noise of its own reading among it"
-        return f"expected error of a new point: {before} um as read, {after} um corrected (rms in 3D, {noise})"
+        noise = f"{number(self.noise_um, 3)} um of it is that point's own measurement noise"
+        return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 
 class FittedParameterEntry(Entry):
@@ -302,24 +302,24 @@ class FittedParameterEntry(Entry):
 
 
 class FittedEffectEntry(Entry):
-    """An effect, or a law, that was estimated beside the calibration, on request."""
+    """An effect, or a law, that was estimated with the calibration on request."""
 
     effect: str
-    """As `ltsim effects` lists it; a law as a diagnosis tells it: carrier ~ driver."""
+    """Name as in `ltsim effects`; of a law as in a diagnosis: response term ~ regressor."""
     where: str = ""
     """Stations and targets to which it is confined; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
     """Its parameters and constants."""
     chi2_drop: NotNegative
-    """By how much chi-square falls."""
+    """Decrease of chi-square."""
     freedom: int
-    """Parameters that the recording can tell from the rest."""
+    """Number of parameters that the recording distinguishes from the rest."""
     tried: int
-    """Places and constants that were tried."""
+    """Number of candidates: places and constants."""
 
     @property
     def p_value(self) -> float:
-        """Chance of such a fall without the effect, over all that were tried."""
+        """p-value of the decrease without the effect, corrected for all candidates."""
         return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
 
     @property
@@ -327,7 +327,7 @@ class FittedEffectEntry(Entry):
         """All of it for a person."""
         name = self.effect + (f" at {self.where}" if self.where else "")
         if not self.freedom:
-            return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
+            return f"{name}: poses, targets and parameters absorb it in this recording; it was not estimated"
         shown = ", ".join(
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
@@ -365,19 +365,19 @@ class CalibrationFile(ResultFile):
     criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
     """The paper's criteria before and after."""
     outliers: tuple[OutlierRow, ...] = ()
-    """Readings that do not belong."""
+    """Outlying readings."""
     tests: tuple[Test, ...] = ()
-    """Simple causes that the readings support, and outliers: all statements about what does not fit come from here."""
+    """Test table: simple causes that the readings support, and outliers; all statements on misfit come from it."""
     robust: bool = False
-    """Readings that do not belong were left out."""
+    """Outlying readings were excluded."""
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry a group."""
     noise_estimated: bool = False
     """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()
     """Verdict on the test to trust."""
-    known: tuple[KnownEntry, ...] = ()
-    """Known coordinates, lengths and levels, each tested by the rest."""
+    reference_values: tuple[ReferenceValueEntry, ...] = ()
+    """Reference coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
@@ -385,8 +385,8 @@ class CalibrationFile(ResultFile):
     correction: Correction | None = None
     """Correction that is worth applying; null where it was not requested."""
     effects: tuple[FittedEffectEntry, ...] = ()
-    """Effects that were estimated beside the parameters (`--with`)."""
-    informed: bool = False
+    """Effects that were estimated with the parameters (`--with`)."""
+    history_prior: bool = False
     """Earlier calibrations were the prior."""
     notes: tuple[str, ...] = ()
     """Notes on how the result was obtained, one sentence each."""

@@ -1,4 +1,4 @@
-"""From a recording to its network: adjustment, calibration, and what calibration is worth."""
+"""Public functions: calibration, its evaluation and verification, history."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -7,13 +7,13 @@ from typing import Any
 
 from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.adjustment.snooping import screened
-from ltsim.calibration.beside import Wanted
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import METHODS, calibrate_distance
+from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.files import CalibrationSource, calibration_of, read_calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.prior_information import Choice, EarlierCalibrations
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import Sized, each_of, effect_from, names
@@ -43,29 +43,29 @@ def calibrate(
     with_effects: str | Effect | Sequence[str | Effect] = (),
     advise: bool = True,
 ) -> Calibration:
-    """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
+    """Estimate the instrument's parameters from a recording, with uncertainty and undetermined combinations.
 
     Parameters
     ----------
     recording : Recording, str or Path
     method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
-        Rigorous network adjustment; the paper's distance objective over what the readings determine, least squares or
+        Rigorous network adjustment; the paper's distance objective over determined combinations, least squares or
         least absolute deviations (`l1`); or its own minimum, which fits the rest to the noise (`equation-9`).
     construction : {`misalignment`, `dh`, `steering-mirror`} or Construction, optional
         Misalignments of a source in the head (16), of a steering mirror (21), or the paper's Denavit-Hartenberg chain
-        (78); by default what the set-up states.
+        (78); by default the one that the set-up declares.
     robust, noise_from_data, datum
         As of `adjust`; with method `network` only.
     parameters : str or sequence of str, optional
-        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`);
+        The only parameters to estimate: names, or a common beginning of several (`azimuth-eccentricity`);
         ``NAME@INSTRUMENT`` is that of one instrument. The others are held at zero.
     without : str or sequence of str
         Parameters to hold at zero.
     hold : mapping of str to float, optional
         Parameters to hold at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        What earlier calibrations found, with its covariance, in place of what the set-up knows, or `none`: nothing is
-        known beforehand, and what is applied is chosen by the readings alone. Method `network` only.
+        Estimates of earlier calibrations with their covariance, in place of the set-up's prior; or `none`: no prior,
+        and the correction is shrunk by the readings alone. Method `network` only.
     harmonics : int, optional
         Order of a D-H chain's joint errors, 0 to 4; default 2.
     degree : int, optional
@@ -74,10 +74,10 @@ def calibrate(
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
         Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`, with stations, targets, and constants as
-        `law=visit` in the effect's units; what is not said, the readings choose. Or laws as a diagnosis tells them,
+        `law=visit` in the effect's units; the readings choose the rest. Or laws as a diagnosis reports them,
         `vertical index ~ time:S3`. Several can be given; from Python as objects too. Method `network` only.
     advise : bool
-        Say which further measurements would determine what is not determined.
+        Report which further measurements would determine the undetermined combinations.
 
     Raises
     ------
@@ -107,35 +107,35 @@ def calibrate(
     else:
         built = _named_construction(construction, harmonics, degree)
     free = isinstance(prior, str) and prior == NO_PRIOR
-    known = None if prior is None or free else Known.of(prior)
+    earlier = None if prior is None or free else EarlierCalibrations.of(prior)
     chosen = None if parameters is None else names(parameters)
-    choice = Choice(chosen, names(without), dict(hold or {}), known, free)
+    choice = Choice(chosen, names(without), dict(hold or {}), earlier, free)
     held = None if datum is None else names(datum)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
     effects = each_of(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"{option('box')} goes with the methods equation-9 and equation-9-l1, not {method}")
-    seen = recording_of(recording)
+    source = recording_of(recording)
     if method == "network":
-        extra_effects = [wanted(asked, seen) for asked in effects]
-        return calibrate_network(seen, built, advise=advise, choice=choice, extra_effects=extra_effects, **options)
+        extra_effects = [requested_effect(asked, source) for asked in effects]
+        return calibrate_network(source, built, advise=advise, choice=choice, extra_effects=extra_effects, **options)
     if any(options.values()) or prior is not None or effects:
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
         raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")
-    return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
+    return calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box)
 
 
-def wanted(asked: str | Effect | Sized, recording: Recording) -> Wanted:
-    """An effect, what it has by default being left to the readings, or one in words; ModelError for one with sizes."""
+def requested_effect(asked: str | Effect | Sized, recording: Recording) -> RequestedEffect:
+    """Requested effect from an effect (default fields are chosen by the readings) or words; ModelError with sizes."""
     if isinstance(asked, Sized):
-        raise ModelError(f"{asked.effect.name} has a size; that is for simulate and inject, here the readings give it")
+        raise ModelError(f"{asked.effect.name} has a size, as for simulate and inject; give it without a size")
     if isinstance(asked, str):
         return _in_words(asked, recording)
-    stated = {f.name for f in fields(asked) if getattr(asked, f.name) != f.default}
-    return Wanted(asked, frozenset(stated))
+    fixed = {f.name for f in fields(asked) if getattr(asked, f.name) != f.default}
+    return RequestedEffect(asked, frozenset(fixed))
 
 
-def _in_words(text: str, recording: Recording) -> Wanted:
+def _in_words(text: str, recording: Recording) -> RequestedEffect:
     """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
@@ -151,18 +151,18 @@ def _in_words(text: str, recording: Recording) -> Wanted:
         elif item in recording.stations or item in recording.targets:
             places["stations" if item in recording.stations else "targets"] += (item,)
         else:
-            known = ", ".join(recording.stations)
-            raise ModelError(f"'{text}': '{item}' is no station ({known}), no target, and no CONSTANT=VALUE")
+            listed = ", ".join(recording.stations)
+            raise ModelError(f"'{text}': '{item}' is no station ({listed}), no target, and no CONSTANT=VALUE")
     if is_law and constants:
         raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
-        return Wanted(read_law(carrier.strip(), driver.strip(), recording, **places))
-    stated = {kind for kind, named in places.items() if named} | set(constants)
-    return Wanted(effect_from(name.strip(), places, constants), frozenset(stated))
+        return RequestedEffect(read_law(carrier.strip(), driver.strip(), recording, **places))
+    fixed = {kind for kind, named in places.items() if named} | set(constants)
+    return RequestedEffect(effect_from(name.strip(), places, constants), frozenset(fixed))
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
-    """The construction of a name; None for what the set-up states."""
+    """Construction of a name; None for the one that the set-up declares."""
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
@@ -192,12 +192,12 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     >>> criteria.distance.improvement_percent > 10
     True
     """
-    seen = recording_of(recording)
-    use = ~screened(seen).gross
+    source = recording_of(recording)
+    use = ~screened(source).gross
     if calibration is None:
-        return criteria_of(seen, use=use)
-    found = calibration_of(calibration)
-    return criteria_of(seen, found.construction, found.values_for(seen), use=use)
+        return criteria_of(source, use=use)
+    corrections = calibration_of(calibration)
+    return criteria_of(source, corrections.construction, corrections.values_for(source), use=use)
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
@@ -221,8 +221,8 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
     ['distance', 'coordinate']
     """
-    seen, found = recording_of(recording), calibration_of(calibration)
-    return verified(seen, read_nominal(Path(nominal)), found.construction, found.values_for(seen))
+    source, corrections = recording_of(recording), calibration_of(calibration)
+    return verified(source, read_nominal(Path(nominal)), corrections.construction, corrections.values_for(source))
 
 
 def history(
@@ -232,16 +232,16 @@ def history(
     dates: str | Sequence[str] | None = None,
     **options: Any,
 ) -> History:
-    """Follow one instrument over calibrations in the order of time: course, spread, and what has changed.
+    """Follow one instrument over calibrations in the order of time: course, spread, and changes.
 
     Parameters
     ----------
     sources : iterable of Calibration, Recording, str or Path, or mapping of str to these
-        A recording is calibrated first, with `options` of `calibrate`. A mapping says what to call each.
+        A recording is calibrated first, with `options` of `calibrate`. A mapping gives their labels.
     instrument : str, optional
         Which, where a calibration holds several.
     dates : sequence of str, optional
-        When each was measured, in ISO form; default what their recordings state.
+        Date of each in ISO form; default those of their recordings.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def history(
 
 
 def _labelled(label: str, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:
-    """A calibration under the name of its file; of what is no file as it is called."""
+    """Label and calibration; the label of a file is its name."""
     if isinstance(source, Calibration):
         return label, source
     if isinstance(source, Recording):

@@ -77,7 +77,7 @@ class BatchDistance(Engine):
     @cached_property
     def _determined(self) -> Floats:
         """Combinations (q, k) that are estimated."""
-        excluded = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
+        excluded = np.array([d.vector for d in self.estimate.undetermined]).reshape(-1, self.problem.prior_sigma.size)
         return np.linalg.svd(np.eye(excluded.shape[1]) - excluded.T @ excluded)[0][
             :, : excluded.shape[1] - len(excluded)
         ]

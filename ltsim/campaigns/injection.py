@@ -10,8 +10,8 @@ from scipy.stats import binomtest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.beside import Wanted
-from ltsim.calibration.verbs import wanted
+from ltsim.calibration.extra_effects import RequestedEffect
+from ltsim.calibration.verbs import requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
@@ -203,19 +203,19 @@ def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Gene
     """A cause with its place and constants, and values (q,) [SI] of its parameters; what is not said is drawn."""
     if isinstance(cause, str):
         text, sizes = _split(cause)
-        asked = wanted(text, injector.recording)
+        asked = requested_effect(text, injector.recording)
     else:
         given, sizes = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
-        asked = wanted(given, injector.recording) if isinstance(given, Effect) else Wanted(given)
+        asked = requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
     effect, sightings = asked.effect, injector.space.sightings
-    tries: Sequence[Tunable] = [effect]
+    candidates: Sequence[Tunable] = [effect]
     if isinstance(effect, Mistake) and not effect.place:
-        tries = type(effect).possible(sightings)
+        candidates = type(effect).possible(sightings)
     elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
-        tries = asked.tries(injector.space.adjustment)
-    if not tries:
+        candidates = asked.candidates(injector.space.adjustment)
+    if not candidates:
         raise ModelError(f"{effect.name} can act nowhere in this recording")
-    chosen = tries[int(rng.integers(len(tries)))]
+    chosen = candidates[int(rng.integers(len(candidates)))]
     return chosen, _values(chosen, sizes, injector, rng)
 
 

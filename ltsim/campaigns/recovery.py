@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from ltsim.calibration.verbs import wanted
+from ltsim.calibration.verbs import requested_effect
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
@@ -305,7 +305,7 @@ def recover(
         jobs = 1
     named = each_of(with_effects)
     example = simulate(scenario, seed=seed).recording if named else None
-    extra_effects = tuple(wanted(text, example) for text in named if example is not None)
+    extra_effects = tuple(requested_effect(text, example) for text in named if example is not None)
     built = true_construction if construction is None else construction_called(construction)
     how = How(method, built, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""

@@ -4,9 +4,9 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ltsim.calibration.beside import Wanted
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import calibrate_distance
+from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.schema import Errors
 from ltsim.campaigns.scoring import Calibrator, Trial, estimates_by, score, score_estimates
@@ -35,7 +35,7 @@ class How:
 
     method: str = "network"
     construction: Construction | None = None
-    extra_effects: tuple[Wanted, ...] = ()
+    extra_effects: tuple[RequestedEffect, ...] = ()
     calibrator: Calibrator | None = None
     errors: Errors = "drawn"
     """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""

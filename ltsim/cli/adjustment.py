@@ -265,7 +265,7 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
-    from ltsim.calibration.history_file import history_file
+    from ltsim.calibration.files import history_file
     from ltsim.calibration.history_schema import HistoryFile
     from ltsim.reports.sections import section_of
 

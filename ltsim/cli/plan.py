@@ -209,7 +209,7 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 
 
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
-    from ltsim.diagnosis.separate import open_question
+    from ltsim.diagnosis.detectability import open_question
     from ltsim.planning.files import next_csv, next_file
     from ltsim.planning.tables import NEXT
     from ltsim.recordings.result_file import SourceEntry, write_result

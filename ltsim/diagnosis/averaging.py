@@ -1,13 +1,12 @@
-"""Targets after a diagnosis: averaged over the explanations that the recording leaves open.
+"""Bayesian model average of the target coordinates over the explanations that the recording does not exclude.
 
-Each explanation shifts the adjusted coordinates; sizes are shrunk by their prior, and what cannot be told apart is
-averaged by its probability, no effect at all among it (Bayesian model averaging; Hoeting et al. 1999, Statistical
-Science 14). The curve of a law that nobody knows is not quite right, and differences of evidence smaller than that may
-show tell nothing between laws. The covariance adds what the explanations disagree by.
+Each explanation shifts the adjusted coordinates; sizes are shrunk by their prior, and explanations are weighted by
+their probability, "no effect" included (Hoeting et al. 1999, Statistical Science 14). The curve of an empirical law is
+an approximation, so evidence between laws is tempered by its discrepancy. The covariance includes the variance between
+explanations.
 
-The shift s of the targets by laws that nobody knows is taken off as far as it is safe. Before, coordinates err by s and
-by an error e of which s tells nothing; taking off t s makes the sum of squares grow by t^2 s's - 2 t (s's + s'e), a
-normal variable.
+The shift s of the targets by empirical laws is applied as far as the risk allows. Without it, coordinates err by s and
+by an independent error e; applying t s changes the sum of squares by t^2 s's - 2 t (s's + s'e), a normal variable.
 """
 
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from ltsim.adjustment.refit import Refit
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import Targets
 from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
-from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
 from ltsim.geometry.rigid import less_rigid
@@ -32,37 +31,37 @@ from ltsim.physics.laws.variance import VarianceFunction
 WORSE, HARM = 0.05, 0.03
 """Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
 MOST_OPEN, LEAST = 12, 0.003
-"""Explanations that are averaged at most, and the probability below which one does not count."""
+"""Largest number of averaged explanations, and the probability below which one is dropped (cost)."""
 
 
-def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
-    """The targets of a refit, moved by what other explanations of each finding would move them, times their chance."""
-    refitted = [replace(h, effect=effect) for h, effect in zip(found.members, fitted.effects, strict=True)]
-    points = fitted.adjustment.state.points - together(searcher, searcher.with_members(refitted))
+def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
+    """Targets of a refit, shifted to the average over the alternative explanations of each member."""
+    refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
+    points = fitted.adjustment.state.points - first_order_shift(searcher, searcher.with_members(refitted))
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
-        others = searcher.without(found, i)
-        weights, shifts = _open(searcher, others, found.members[i], ranking, 1.0 + found.misfit)
+        others = searcher.without(model, i)
+        weights, shifts = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
-        by_laws += mean if not found.members[i].known else 0.0
+        by_laws += mean if not model.members[i].is_catalogued else 0.0
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
-    apart = np.concatenate(open_)
-    kept = (1.0 - _safe_share(fitted.adjustment, by_laws, apart)) * by_laws
-    spread = np.concatenate([apart, kept[None]])
+    deviations = np.concatenate(open_)
+    residual_shift = (1.0 - _safe_share(fitted.adjustment, by_laws, deviations)) * by_laws
+    spread = np.concatenate([deviations, residual_shift[None]])
     covariance = fitted.adjustment.target_covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return Targets(points - kept, covariance, spread)
+    return Targets(points - residual_shift, covariance, spread)
 
 
-def _safe_share(adjusted: Adjustment, change: Floats, apart: Floats) -> float:
-    """The largest share of a change (T, 3) [m] of the targets that is safe; explanations are (k, T, 3) apart."""
+def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
+    """Largest safe share of a change (T, 3) [m] of the targets; deviations between explanations are (k, T, 3)."""
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
     shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
     along[problem.unknowns.target.ravel()] = shift
-    disagreed = np.nan_to_num(apart).reshape(len(apart), len(shift)) @ shift
+    disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
     spread = float(along @ adjusted.factor.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
-    noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(apart**2))
+    noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(deviations**2))
     return safe_share(float(shift @ shift), spread, noise)
 
 
@@ -83,47 +82,47 @@ def safe_share(size: float, spread: float, noise: float) -> float:
     return min(1.0, float(np.sqrt(bad**2 + size * grown) - bad) / size)
 
 
-def _open(
-    searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Ranking, blur: float
+def model_weights(
+    searcher: Searcher, others: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Probabilities (k,) of explanations, the chosen one first, and the shift (k, T, 3) of the targets by each.
+    """Weights (k,) of explanations, the chosen one first, and the shift (k, T, 3) [m] of the targets by each.
 
-    Evidence tells explanations apart by its parts of `blur`.
+    Log evidences are divided by `temperature`.
     """
-    none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / blur).tolist()
+    none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
     entries = [(h, p) for h, p in likely if not isinstance(h.effect, NoiseEffect | VarianceFunction)]
     entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
-    told = _shaped(searcher, others, chosen)
-    shifts = [shift_of(searcher, others, h) for h, _ in (*told, *entries)]
+    shaped = _shaped(searcher, others, chosen)
+    shifts = [shift_of(searcher, others, h) for h, _ in (*shaped, *entries)]
     shifts.append(np.zeros_like(shifts[0]))
-    weights = np.array([*(rest * p for _, p in told), *(p for _, p in entries), none])
+    weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(shifts)
 
 
-def _shaped(searcher: Searcher, others: Found, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
-    """An explanation with the likeliest of its shapes, and their probabilities."""
+def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
+    """An explanation at its most probable shapes, and their probabilities."""
     shapes = (
         [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
     )
     if not shapes:
         return [(chosen, 1.0)]
-    weights = shares(np.array([one.log_weight for one in shapes]))
+    weights = shares(np.array([node.log_weight for node in shapes]))
     ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MOST_OPEN]
-    return [(replace(chosen, effect=one.effect), float(p)) for one, p in ranked if p > LEAST]
+    return [(replace(chosen, effect=node.effect), float(p)) for node, p in ranked if p > LEAST]
 
 
-def together(searcher: Searcher, found: Found) -> Floats:
-    """Shift (T, 3) [m] of the adjusted targets by all members of a set as a refit has them, to first order."""
-    if not found.members:
+def first_order_shift(searcher: Searcher, model: Model) -> Floats:
+    """First-order shift (T, 3) [m] of the adjusted targets by all members of a refitted model."""
+    if not model.members:
         return np.zeros((len(searcher.space.sightings.points), 3))
-    mean = wide_posterior(*found.products, np.concatenate([h.spread for h in found.members]))[0]
-    signatures = np.hstack([searcher.space.signature(h.effect) for h in found.members])
+    mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
+    signatures = np.hstack([searcher.space.signature(h.effect) for h in model.members])
     return -searcher.space.moved_targets(signatures @ mean)
 
 
-def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis) -> Floats:
+def shift_of(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
     """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk by its prior, is taken out."""
     moments = searcher.exact.moments([hypothesis.effect], others)[0]
     mean = posterior(*moments, hypothesis.spread)[0]

@@ -1,8 +1,8 @@
-"""Does the recording agree with the model and the stated noise? One test for the whole search.
+"""Global test of the recording against the model and the declared noise, one for the whole search.
 
-The statistic is the log evidence of everything that is tried, priors included, against nothing: cards, laws, changes of
+The statistic is the log evidence of all hypotheses with their priors against none: catalogue effects, laws, changes of
 the noise. Its distribution without any effect comes from the same sums over simulated residuals of the network at hand,
-so the false-alarm rate is what it says however many hypotheses there are.
+so the false-alarm rate holds for any number of hypotheses.
 """
 
 from dataclasses import dataclass
@@ -47,10 +47,10 @@ class Detection:
         return float(np.quantile(self.null, 1.0 - level))
 
     def chance(self, statistic: float) -> float:
-        """Chance that the whole search reaches a statistic in a clean recording: (k + 1) / (n + 1) of n simulated ones.
+        """p-value of a statistic in the whole search: (k + 1) / (n + 1), k of n simulated recordings reach it.
 
-        A recording without any effect is one more of them, so that the chance of a value up to p is p at most. It is
-        never less than 1 / (n + 1): what none of n recordings reached is told as that.
+        A recording without any effect is exchangeable with them, so the probability of a value up to p is p at most.
+        The smallest value is 1 / (n + 1).
         """
         return (int(np.sum(self.null >= statistic - ROUNDING)) + 1) / (len(self.null) + 1)
 
@@ -58,9 +58,9 @@ class Detection:
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     """Test a residual space against all hypotheses at once."""
     space = searcher.space
-    own = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
+    noise_evidence = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
     simulated = noise.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)
-    statistic = float(log_sum_exp(np.append(own, searcher.first.statistic)))
+    statistic = float(log_sum_exp(np.append(noise_evidence, searcher.first.statistic)))
     null = np.logaddexp(log_sum_exp(simulated), searcher.first.null)
     chi2, dof = float(space.residual @ space.residual), space.adjustment.dof
     plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")

@@ -1,4 +1,4 @@
-"""A diagnosis as an object: what it says, and the networks and coordinates that it says it of."""
+"""Result of a diagnosis: verdict, findings, and the networks and coordinates behind them."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ class Targets(ValueEquality):
     points: Floats
     covariance: Floats
     spread: Floats
-    """(k, T, 3) [m]: what other explanations would change, each by one standard deviation; part of the covariance."""
+    """(k, T, 3) [m]: weighted deviations between explanations; part of the covariance."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,7 +78,7 @@ class Diagnosis(Result):
         }
 
     def _findings(self) -> Columns:
-        """One row a parameter of a finding; an unknown effect without parameters has one row."""
+        """One row per parameter of a finding; an unknown effect without parameters has one row."""
         nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
         rows = [(finding, p) for finding in self.findings for p in finding.parameters or (nothing,)]
         return {

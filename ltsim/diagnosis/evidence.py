@@ -1,13 +1,12 @@
-"""The one evidence of a diagnosis: log marginal likelihoods.
+"""Log marginal likelihoods of the hypotheses of a diagnosis.
 
 In the residual space (whitened residuals r, projector P off all that the ordinary adjustment estimates) a hypothesis
 with signature g and coefficients b ~ N(0, t^2 L), L the squares of plausible sizes, has the marginal likelihood ratio
 against none
     log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2,
 d_j the eigenvalues of L^1/2 g' P g L^1/2 and z_j the scores L^1/2 g' r along its eigenvectors. It is averaged over
-sizes t, because nobody knows how strong an effect is. Places, shapes and scales are averaged as well: whoever tries
-more of them pays for it. Changes of the noise are averaged over a grid of sizes and enter by their restricted
-likelihood.
+sizes t. Places, shapes and scales are averaged as well, which penalises hypotheses with many of them. Changes of the
+noise are averaged over a grid of sizes and enter by their restricted likelihood.
 
 References
 ----------
@@ -20,14 +19,15 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import log_ndtr
 
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_evidence, log_sum_exp
 from ltsim.core.arrays import Bools, Floats, Ints, Singles
 from ltsim.physics.effects.signature import Tunable
 from ltsim.recordings.recording import OBSERVABLES
 
 TIE, SCREENED_TIE = 1e-6, 1e-4
-"""[log evidence] Values that differ by less are equal: double precision, and single, round differently by the order of
-a sum, which a matrix library chooses by the processor. A choice between them must not follow the rounding.
+"""Log evidences that differ by less are equal, in double and in single precision: the rounding of a sum depends on its
+order, which a matrix library chooses by the processor, and must not decide.
 """
 
 
@@ -46,20 +46,20 @@ def ranked(values: Floats, tie: float = TIE) -> Ints:
 
 
 def shares(logs: Floats) -> Floats:
-    """Probabilities (k,) of what has such logarithms."""
-    found: Floats = np.exp(logs - log_sum_exp(logs))
-    return found
+    """Probabilities (k,) from unnormalised log probabilities (k,)."""
+    probabilities: Floats = np.exp(logs - log_sum_exp(logs))
+    return probabilities
 
 
 AT_ONCE = 500_000
-"""Simulated scores whose evidence is computed at once: memory of some tens of MB."""
+"""Simulated scores in memory at a time: some tens of MB."""
 
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
     """`log_evidence` (h, trials) of scores (h, k, trials) of simulated residuals, in single precision."""
     parts = [_summed(logs, 1) for logs in _simulated(scores, strength, np.zeros(len(scores)))]
-    found: Floats = np.concatenate(parts).astype(np.float64)
-    return found
+    evidence: Floats = np.concatenate(parts).astype(np.float64)
+    return evidence
 
 
 def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
@@ -70,7 +70,7 @@ def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Flo
 
 
 def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
-    """Log evidence with priors (h, sizes, trials), of some hypotheses at a time."""
+    """Log evidence with priors (h, sizes, trials), in batches of hypotheses."""
     step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
     for i in range(0, len(scores), step):
         weights, constants = forms_of(strength[i : i + step])
@@ -84,14 +84,14 @@ def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
     """Log of the sum of exp(logs) along axes; overwrites them."""
     top = logs.max(axis=axis, keepdims=True)
     np.exp(np.subtract(logs, top, out=logs), out=logs)
-    found: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
-    return found
+    total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
+    return total
 
 
 def restricted(squares: Floats, share: Floats, factor: Floats) -> Floats:
     """Log restricted likelihood ratio of variances `factor` times as large, in its diagonal form, reading by reading.
 
-    By squares of whitened residuals and the redundancies of the readings, or by sums of both over readings alike.
+    `squares` are those of whitened residuals, `share` the redundancies; or sums of both over readings of equal factor.
     """
     ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - share * np.log(factor))
     return ratio
@@ -130,19 +130,20 @@ def posterior(
     variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * strength)
     means = variances * z
     mean = weight @ means
-    apart = means - mean
-    inner = np.diag(weight @ variances) + (weight[:, None] * apart).T @ apart
+    deviations = means - mean
+    inner = np.diag(weight @ variances) + (weight[:, None] * deviations).T @ deviations
     return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(logs))
 
 
 def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (..., k) of Gram matrices in units of plausible sizes, and what turns scores along their vectors."""
+    """Eigenvalues (..., k) of Gram matrices in plausible sizes, and the matrix that turns scores along eigenvectors."""
     strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
     return np.maximum(strength, 0.0), spread[..., None] * vectors
 
 
 WIDE = 30.0
-"""Plausible sizes to which what is told of a finding is held: what the readings hardly determine stays uncertain."""
+"""Prior standard deviation, in plausible sizes, of reported sizes: wide enough not to shrink them, narrow enough to
+keep hardly determined combinations finite."""
 
 
 def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
@@ -151,7 +152,7 @@ def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats,
 
 
 def sign_weight(mean: float, sigma: float) -> float:
-    """Log factor on the evidence of what is never negative: twice the posterior chance of a positive size."""
+    """Log factor on the evidence of a nonnegative parameter: twice the posterior probability of a positive size."""
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
 
 
@@ -167,35 +168,64 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
 
 
 COARSEST = 1e4
-"""Times a tracker's errors that any instrument's are: millimetres for tenths of a micrometre."""
+"""Largest factor on a plausible size of a tracker: millimetres for tenths of a micrometre."""
 
 
 def times_to_noise(strength: Floats) -> float:
-    """Times a plausible size that reaches the noise, one at least: nobody models what no reading feels.
+    """Factor (>= 1) that raises a plausible size to the noise level; smaller effects are undetectable.
 
-    By what that size does to each pointing (n,), in units of the noise: the median of those that it touches counts.
+    `strength` (n,) is the effect of a plausible size on each pointing over the noise; its median over the affected
+    pointings becomes 1.
     """
     touched = strength[strength > 0]
     return 1.0 / float(np.clip(np.median(touched), 1.0 / COARSEST, 1.0)) if len(touched) else 1.0
 
 
-DONE, SEEN = 0.01, 0.1
-"""Shares of the squares of what an effect does to the readings, and of what an adjustment leaves of that, from which it
-is said to act on an observable: what one observable is given, an adjustment hands on to others."""
+MIN_SHARE, MIN_PROJECTED_SHARE = 0.01, 0.1
+"""An effect is reported to act on an observable if its share of the squared signature, and of the squared projected
+signature, are at least these: the adjustment spreads a shift of one observable over the others."""
 
 
-def shown_in(use: Bools, done: Floats, left: Floats) -> tuple[str, ...]:
-    """The observables on which an effect acts and in which it shows; empty where it does in all.
+def active_observables(use: Bools, done: Floats, projected: Floats) -> tuple[str, ...]:
+    """Observables on which an effect acts; empty where it acts on all.
 
-    By what it does to the readings in `use` (n, 3), and what is left of that: both (r,), whitened.
+    `done` (r,) is its whitened shift of the readings in `use` (n, 3), `projected` (r,) the projection of that.
     """
-    seen = (_share(use, done) >= DONE) & (_share(use, left) >= SEEN)
-    return () if seen.all() else tuple(name for name, one in zip(OBSERVABLES, seen.tolist(), strict=True) if one)
+    active = (_share(use, done) >= MIN_SHARE) & (_share(use, projected) >= MIN_PROJECTED_SHARE)
+    return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 
 
 def _share(use: Bools, shift: Floats) -> Floats:
     """Share (3,) of the squares of a shift (r,) in each observable."""
     kind = np.nonzero(use)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
-    found: Floats = squares / max(float(squares.sum()), 1e-300)
-    return found
+    fraction: Floats = squares / max(float(squares.sum()), 1e-300)
+    return fraction
+
+
+SHARES = np.geomspace(0.05, 1.0, 9)
+"""Relative discrepancy of an unmodelled cause from the best hypothesis, log-uniform from hardly visible to complete."""
+
+
+def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:
+    """Log Bayes factor of an unmodelled cause that resembles a hypothesis, against the hypothesis itself.
+
+    Such a cause differs from the hypothesis by a random shift of each reading of standard deviation delta times the rms
+    shift in its observable, delta log-uniform over `SHARES`. The residuals support or contradict that added variance
+    through the restricted likelihood; for a weak effect the factor is near 1.
+
+    Parameters
+    ----------
+    shift : (m,) float
+        Whitened shift of the readings by the hypothesis.
+    residual, redundancy : (m,) float
+        Whitened residuals with the hypothesis modelled, and their redundancy numbers.
+    """
+    kind = np.nonzero(space.use)[1]
+    rows = np.flatnonzero(shift[: len(kind)])
+    kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
+    count = np.maximum(np.bincount(kind, minlength=3), 1)
+    size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
+    variance = 1.0 + SHARES[:, None] ** 2 * size
+    logs = restricted(square, share, variance).sum(axis=1)
+    return float(log_sum_exp(logs) - np.log(len(SHARES)))

@@ -28,8 +28,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     """Write a diagnosis into a folder, with the recording it is of where that is given; the content of its JSON.
 
     `targets.csv` holds the coordinates adjusted with the findings modelled, `targets.covariance.csv` their joint
-    covariance with what other explanations would change, `residuals.csv` what is left then,
-    `residuals_before.csv` what the ordinary adjustment left, `recording/` the recording.
+    covariance with the variance between explanations, `residuals.csv` their residuals, `residuals_before.csv`
+    those of the ordinary adjustment, `recording/` the recording.
 
     Raises
     ------

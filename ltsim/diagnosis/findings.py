@@ -1,4 +1,4 @@
-"""Findings from what a search found: where, how large, how sure, in which words."""
+"""Findings from a selected model: place, size, probability, sentence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,19 +11,17 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
-from ltsim.diagnosis.blind import distortion
-from ltsim.diagnosis.case import Case
-from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import posterior, shown_in
-from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
+from ltsim.diagnosis.detectability import distortion, separating_measurement
+from ltsim.diagnosis.evidence import active_observables, log_bayes_factor_discrepancy, posterior
+from ltsim.diagnosis.forms import curve_of
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.outside import log_likeness
-from ltsim.diagnosis.prior import NOISY, PLAIN, SAME_OBSERVABLE
+from ltsim.diagnosis.prior import P_CAP_NOISE, P_CAP_TESTS, SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
-from ltsim.diagnosis.separate import separating_measurement
-from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_sentence, without_clock
+from ltsim.diagnosis.selection_state import SelectionState
+from ltsim.diagnosis.words import LIKELY, catalogue_sentence, law_sentence, outside_sentence, without_clock
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.physics.effects.signature import Tunable, constants_of
@@ -36,107 +34,111 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MOST_EQUIVALENTS = 3
-"""Equivalents that are stated at most."""
+"""Largest number of reported equivalents."""
 MOST_ESTIMATES = 12
-"""Sizes of one change of the noise that are told: of each of many targets or set-ups, the largest."""
+"""Largest number of reported sizes of one change of the noise by target or set-up."""
 NOT_EXCLUDED = 0.01
-"""Probability above which another effect is stated as an equivalent."""
+"""Another effect is reported as an equivalent if its probability exceeds this."""
 FEW_READINGS, MOSTLY = 4, 0.8
-"""Readings that are named where so few carry such a share of what a finding explains."""
+"""Readings are listed if at most this many carry this share of the decrease of chi-square."""
 SURE = 2.0
-"""Standard deviations from which a size is beyond doubt."""
+"""A size is significant if it exceeds this many standard deviations (two-sided 5 %)."""
 BASELINE_KINDS = tuple(type(effect) for effect in BASELINE)
-"""Constants of the ordinary calibration: they are findings where they are beyond what was stated of them."""
+"""Constants of the ordinary calibration: findings only where they exceed their prior."""
 IMPLAUSIBLE = 5.0
-"""Times a bad but plausible size from which a size is remarked upon."""
+"""A size is called implausible if it exceeds this multiple of a bad but plausible size by two standard deviations."""
 
 
 @dataclass(frozen=True)
 class Explained:
     """Explanation of a recording, searched and refitted, from which its findings are reported."""
 
-    case: Case
+    case: SelectionState
     detection: Detection
-    found: Found
+    model: Model
     refit: Refit
-    besides: bool = False
-    """True where findings are reported in addition to the members."""
+    has_test_findings: bool = False
+    """True if findings are reported in addition to the members."""
 
     def _ranking(self, member: int) -> Ranking:
-        """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
-        searcher, found = self.case.searcher, self.found
-        others = searcher.without(found, member)
-        noises = [Hypothesis(one.effect, 0.0, value, one.effect.name) for value, one in self.case.noises(others)]
-        effect, spread = self.refit.effects[member], found.members[member].spread
+        """Ranking of all alternatives to a member, changes of the noise and an unmodelled cause included."""
+        searcher, model = self.case.searcher, self.model
+        others = searcher.without(model, member)
+        noises = [
+            Hypothesis(change.effect, 0.0, value, change.effect.name) for value, change in self.case.noises(others)
+        ]
+        effect, spread = self.refit.effects[member], model.members[member].spread
         mean = posterior(*searcher.exact.moments([effect], others)[0], spread)[0]
-        redundancy = searcher.space.redundancy - np.sum(found.extension**2, axis=1)
+        redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.signature(effect) @ mean
-        likeness = log_likeness(searcher.space, shift, found.residual, redundancy)
-        return searcher.rank(others).beside(noises).doubted(likeness)
+        likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
+        return searcher.rank(others).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
-        """Probability of a member's name; of what has none, that it acts on the same observables."""
-        hypothesis, ranking = self.found.members[member], self.rankings[member]
-        if hypothesis.known:
+        """Posterior probability of a member's name; of an unknown effect, that it acts on the same observables."""
+        hypothesis, ranking = self.model.members[member], self.rankings[member]
+        if hypothesis.is_catalogued:
             return ranking.probabilities().get(hypothesis.name, 0.0)
         acts = set(hypothesis.effect.observables)
-        same = ranking.share(lambda h: not h.known and set(h.effect.observables) == acts)
-        return same + SAME_OBSERVABLE * ranking.unlisted
+        same = ranking.share(lambda h: not h.is_catalogued and set(h.effect.observables) == acts)
+        return same + SAME_OBSERVABLE * ranking.p_unmodelled
 
     @cached_property
     def rankings(self) -> list[Ranking]:
-        """All that could stand in the place of each member."""
-        return [self._ranking(i) for i in range(len(self.found.members))]
+        """Rankings of all alternatives to each member."""
+        return [self._ranking(i) for i in range(len(self.model.members))]
 
     @cached_property
-    def shown(self) -> list[float]:
-        """Probability that each member acts on this, here, and follows this, whatever it is called."""
-        return [self._shown(i) for i in range(len(self.found.members))]
+    def p_located(self) -> list[float]:
+        """Probability that an effect acts on observables, place and covariates of each member, whatever its name."""
+        return [self._p_located(i) for i in range(len(self.model.members))]
 
     @cached_property
     def gains(self) -> list[Floats]:
-        """By how much each member, beside the others, takes the squares (m,) of what is left down."""
-        without = (self.case.searcher.without(self.found, i) for i in range(len(self.found.members)))
-        return [others.residual**2 - self.found.residual**2 for others in without]
+        """Decrease of the squared residuals (m,) by each member given the others."""
+        without = (self.case.searcher.without(self.model, i) for i in range(len(self.model.members)))
+        return [others.residual**2 - self.model.residual**2 for others in without]
 
     @cached_property
-    def untold(self) -> tuple[str, ...]:
-        """Keys of members of little chance: they are modelled; what explains most is told where nothing else is."""
-        members, gains = self.found.members, [gain.sum() for gain in self.gains]
-        doubtful = [self.chance(i) < LIKELY and (self.besides or gains[i] < max(gains)) for i in range(len(members))]
-        return tuple(one.key for one, doubt in zip(members, doubtful, strict=True) if doubt)
+    def withheld(self) -> tuple[str, ...]:
+        """Keys of improbable members: modelled, not reported; the strongest is reported if nothing else is."""
+        members, gains = self.model.members, [gain.sum() for gain in self.gains]
+        doubtful = [
+            self.chance(i) < LIKELY and (self.has_test_findings or gains[i] < max(gains)) for i in range(len(members))
+        ]
+        return tuple(member.key for member, doubt in zip(members, doubtful, strict=True) if doubt)
 
     def chance(self, member: int) -> float:
-        """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
+        """Probability that a member is real, whatever its name.
 
-        Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
-        observable, says nothing beside others.
+        0 if no size exceeds `SURE` standard deviations, or if it has more parameters than the effective number of
+        readings that support it (participation ratio), or if neither place, observable nor form is determined.
         """
         effect, gain = self.refit.effects[member], self.gains[member]
-        sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
+        sizes = [size for size in self.refit.told[member] if size.parameter in effect.parameters]
         together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
-        sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
-        shown = self.shown[member]
-        says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or shown >= LIKELY
-        # so many readings alike would carry the gain (participation ratio)
+        sized = isinstance(effect, Law) or together or any(abs(size.value) > SURE * size.sigma for size in sizes)
+        p_located = self.p_located[member]
+        says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or p_located >= LIKELY
+        # effective number of readings that carry the gain (participation ratio)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return max(self.probability(member), shown) if sized and says and carried >= constants_of(effect) else 0.0
+        return max(self.probability(member), p_located) if sized and says and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
-        """The finding of a member, a mean shift, beside the others."""
-        searcher, found, ranking = self.case.searcher, self.found, self.rankings[member]
-        space, others = searcher.space, searcher.without(found, member)
-        hypothesis = replace(found.members[member], effect=self.refit.effects[member])
+        """Finding of a member, a mean shift, given the others."""
+        searcher, model, ranking = self.case.searcher, self.model, self.rankings[member]
+        space, others = searcher.space, searcher.without(model, member)
+        hypothesis = replace(model.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
-        shown = self.shown[member]
+        p_located = self.p_located[member]
         gain = self.gains[member]
         mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
         signature, rows = space.signature(effect), int(space.use.sum())
         done = signature @ mean
-        left = searcher.with_members([hypothesis]).left[0] @ mean
-        where = self._where(effect, shown_in(space.use, done[:rows], left[:rows]))
-        told = self._estimates(member, hypothesis, others)
+        projected = searcher.with_members([hypothesis]).projected[0] @ mean
+        where = self._where(effect, active_observables(space.use, done[:rows], projected[:rows]))
+        estimates = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
         if isinstance(effect, Law):
@@ -146,70 +148,71 @@ class Explained:
             }
             more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
             law = law_words(effect, more["driver"])
-            sentence = law_sentence(where, told, shown, law)
-            more["formula"] = "" if hypothesis.known else law
+            sentence = law_sentence(where, estimates, p_located, law)
+            more["formula"] = "" if hypothesis.is_catalogued else law
         elif isinstance(effect, Effect):
-            beside = [e for k, e in enumerate(self.refit.effects) if k != member]
+            other_effects = [e for k, e in enumerate(self.refit.effects) if k != member]
             names = [rival.effect for rival in rivals]
-            more["separate_by"] = separating_measurement(self.case.baseline, name, names, beside)
-        if hypothesis.known:
-            doubt = self._doubt(effect, told)
-            sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
+            more["separate_by"] = separating_measurement(self.case.baseline, name, names, other_effects)
+        if hypothesis.is_catalogued:
+            doubt = self._doubt(effect, estimates)
+            sentence = catalogue_sentence(name, where, estimates, probability, p_located=p_located) + doubt
         more["moves_targets_um"] = moved = distortion(space, done)
         touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
         felt = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
-        sentence += f" Not modelled, it leaves {felt} sigma rms in the readings that it acts on"
-        sentence += f" and moves the targets by {number(moved, 2)} um rms.{self._readings(gain)}"
+        sentence += f" If left uncorrected, it causes residuals of {felt} sigma (rms)"
+        sentence += f" and shifts the targets by {number(moved, 2)} um (rms).{self._readings(gain)}"
         return Finding(
             effect=name,
-            known=hypothesis.known,
+            known=hypothesis.is_catalogued,
             where=where,
-            parameters=told,
+            parameters=estimates,
             evidence=Evidence(
                 chi2_drop=float(gain.sum()),
-                parameters=found.extension.shape[1] - others.extension.shape[1],
+                parameters=model.basis.shape[1] - others.basis.shape[1],
                 p_value=self.detection.chance(ranking.total),
                 probability=probability,
-                shown=shown,
+                p_located=p_located,
             ),
             sentence=sentence,
             equivalents=rivals,
-            **_told(more),
+            **_without_empty(more),
         )
 
     def _readings(self, gain: Floats) -> str:
         """A sentence on the readings that carry a gain (m,), where they are few."""
         use, recording = self.case.searcher.space.use, self.case.recording
-        own = gain[: int(use.sum())]
-        worst = np.argsort(-own)
-        count = int(np.searchsorted(np.cumsum(own[worst]), MOSTLY * max(float(gain.sum()), TINY))) + 1
+        reading_gain = gain[: int(use.sum())]
+        worst = np.argsort(-reading_gain)
+        count = int(np.searchsorted(np.cumsum(reading_gain[worst]), MOSTLY * max(float(gain.sum()), TINY))) + 1
         if count > FEW_READINGS:
             return ""
         at = [
             (int(row), int(kind)) for row, kind in zip(*(part[worst[:count]] for part in np.nonzero(use)), strict=True)
         ]
         station, target = recording.stations, recording.targets
-        told = (
+        names = (
             f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
             for i, k in at
         )
-        return f" Most of it lies in the {', the '.join(told)}."
+        return f" Most of it lies in the {', the '.join(names)}."
 
-    def _shown(self, member: int) -> float:
-        """Probability of all explanations that act on the same as a member, at its place, and follow the same.
+    def _p_located(self, member: int) -> float:
+        """Probability of all explanations with the observables, place and covariates of a member.
 
-        A target may be off as one that moved, sat badly or was read wrongly: what acts on it alone is the same change.
+        A moved, badly seated or wrongly read target is the same change: effects that act on one target alone count
+        together.
         """
-        effect = self.found.members[member].effect
+        effect = self.model.members[member].effect
 
-        def seen(one: Tunable) -> Where:
-            where = self._where(one)
+        def located(candidate: Tunable) -> Where:
+            where = self._where(candidate)
             if where.targets and not isinstance(effect, Law):
                 return Where(targets=where.targets)
-            return where.model_copy(update={"observables": tuple(sorted(one.observables))})
+            return where.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
-        own = seen(effect)
-        return self.rankings[member].share(lambda h: seen(h.effect) == own)
+        scope = located(effect)
+        return self.rankings[member].share(lambda h: located(h.effect) == scope)
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         """Scope of an effect; the set-ups of one of several instruments are that instrument."""
@@ -219,20 +222,20 @@ class Explained:
                 return where.model_copy(update={"stations": (), "instruments": tracker.instruments})
         return where
 
-    def _doubt(self, effect: Tunable, told: Sequence[Estimate]) -> str:
-        """A sentence where a constant is beyond what was stated of it, or a size hardly plausible for its cause."""
+    def _doubt(self, effect: Tunable, estimates: Sequence[Estimate]) -> str:
+        """Sentence on a constant beyond its declared prior, or on a size that is implausible for its cause."""
         recording = self.case.recording
         if isinstance(effect, BASELINE_KINDS):
             name = recording.instruments[self._instrument(effect)]
             prior = recording.setup.instrument_named(name).prior
-            stated = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
-            said = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in stated)
-            return f" It was stated to be zero with a standard deviation of {said}."
+            declared = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
+            sigmas = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in declared)
+            return f" Its declared prior is zero with a standard deviation of {sigmas}."
         implausible = " Such a size is hardly plausible for this cause: check it, and think of others."
-        return implausible if _implausible(effect, told) else ""
+        return implausible if _implausible(effect, estimates) else ""
 
     def _constants(self, effect: Tunable) -> tuple[Estimate, ...]:
-        """Constants of an instrument as the readings alone have them, each beside the priors of the others."""
+        """Constants of an instrument from the readings without their own prior, with the priors of the others."""
         adjustment, which = self.case.baseline, self._instrument(effect)
         prior = prior_sigmas(self.case.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
@@ -247,22 +250,22 @@ class Explained:
         at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == at][0])
 
-    def _estimates(self, member: int, hypothesis: Hypothesis, others: Found) -> tuple[Estimate, ...]:
+    def _estimates(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[Estimate, ...]:
         """The sizes of a member, by rows where the recording has no clock."""
-        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        refitted = [Estimate.of(*estimate) for estimate in self.refit.told[member] if np.isfinite(estimate.sigma)]
         if isinstance(hypothesis.effect, BASELINE_KINDS):
             return self._constants(hypothesis.effect)
-        told = self.case.searcher.estimates(hypothesis, others, refitted)
-        return told if self.case.recording.has_clock else tuple(without_clock(e) for e in told)
+        estimates = self.case.searcher.estimates(hypothesis, others, refitted)
+        return estimates if self.case.recording.has_clock else tuple(without_clock(e) for e in estimates)
 
 
 def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
-    """The finding of a change of the noise, in the observables in which it is beyond doubt."""
+    """Finding of a change of the noise, in the observables where it is significant."""
     effect, sizes = hypothesis.effect, zip(hypothesis.values, hypothesis.sigma, strict=True)
-    probability = hypothesis.probability * (NOISY if any(v > SURE * s for v, s in sizes) else PLAIN)
+    probability = hypothesis.probability * (P_CAP_NOISE if any(v > SURE * s for v, s in sizes) else P_CAP_TESTS)
     where = where_of(effect, _scattering(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
-    rows = [Estimate.of(*told) for told in every if np.isfinite(told[2])]
+    rows = [Estimate.of(*names) for names in every if np.isfinite(names[2])]
     more, sentence = {}, ""
     if isinstance(effect, VarianceFunction):
         more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
@@ -271,8 +274,8 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
             rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES]
             sure = [e for e in rows if e.value > SURE * e.sigma] or rows
             worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
-            told = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
-            most = f", most at {' and '.join(told)}, in times the stated deviation"
+            names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
+            most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
         sentence = outside_sentence(where, effect.law + most)
     return Finding(
         effect=effect.name,
@@ -285,19 +288,24 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
             p_value=detection.chance(hypothesis.evidence),
             probability=probability,
         ),
-        sentence=sentence or card_sentence(effect.name, where, rows, probability),
+        sentence=sentence or catalogue_sentence(effect.name, where, rows, probability),
         equivalents=hypothesis.equivalents,
-        **_told(more),
+        **_without_empty(more),
     )
 
 
 def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """The observables whose noise is beyond doubt larger than stated, or smaller where that is what was found."""
+    """Observables whose noise differs significantly from the declared one, in the direction of the largest size."""
     sizes = hypothesis.effect.spread
-    found = np.array(hypothesis.values) / sizes
-    sure = found * np.sign(found[np.argmax(np.abs(found))]) > SURE * np.array(hypothesis.sigma) / sizes
-    one = np.ones((len(sightings), len(OBSERVABLES)))
-    acts = (hypothesis.effect.variance(sightings, one, np.where(sure, sizes, 0.0)) != one).any(axis=0)
+    sizes_in_units = np.array(hypothesis.values) / sizes
+    sure = (
+        sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
+        > SURE * np.array(hypothesis.sigma) / sizes
+    )
+    unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
+    acts = (hypothesis.effect.variance(sightings, unit_variance, np.where(sure, sizes, 0.0)) != unit_variance).any(
+        axis=0
+    )
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
 
 
@@ -328,23 +336,23 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    own = AT_EACH_SET_UP if law.each else ""
-    return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
+    suffix = AT_EACH_SET_UP if law.each else ""
+    return f"{what} differs{suffix}" if law.driver.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 
 def place_of(**confined: tuple[str, ...]) -> Where:
-    """A place that says of each kind whether it is confined to some of it."""
+    """Scope with the given kinds confined, the others empty."""
     return Where(**dict.fromkeys(Where.model_fields, ()) | confined)
 
 
-def _told(more: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries with a value, the empty ones left out."""
+def _without_empty(more: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries with a value."""
     return {key: value for key, value in more.items() if value}
 
 
 def _implausible(effect: Tunable, estimates: Sequence[Estimate]) -> bool:
-    """Whether some size is far beyond a bad but plausible one, or negative where none can be."""
+    """True if a size is far beyond a bad but plausible one, or negative where it cannot be."""
     sizes = zip(effect.parameters, effect.spread.tolist(), strict=True)
-    told = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
-    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.factor for e, p, size in told)
-    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in told)
+    matched = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
+    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.factor for e, p, size in matched)
+    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matched)

@@ -8,53 +8,59 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
-from ltsim.diagnosis.exact import Exact
-from ltsim.diagnosis.hypotheses import Found, Hypothesis
-from ltsim.diagnosis.prior import FORMS, OWN_WAY, PIECES
+from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
+from ltsim.diagnosis.hypotheses import Hypothesis, Model
+from ltsim.diagnosis.prior import FORMS, P_PER_SETUP, P_PIECEWISE
+from ltsim.diagnosis.schema import Curve
+from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
+from ltsim.scene.sightings import Sightings
 
-MOST_PIECES, PATIENCE = 10, 3
+MOST_PIECES, EARLY_STOP = 10, 3
 """Steps and ramps at most, and those that are tried beyond the best."""
 
 
-def in_all_forms(exact: Exact, law: Law, log_prior: float, base: Found, *, pieces: bool) -> list[Hypothesis]:
+def evaluate_forms(
+    exact: EvidenceCalculator, law: Law, log_prior: float, base: Model, *, pieces: bool
+) -> list[Hypothesis]:
     """A law computed exactly in all its forms: of each name the likeliest, with the evidence of all that have it."""
     sightings = exact.space.sightings
     law = law.as_constant(sightings)
     whole = log_prior + float(np.log(len(law.driver.spreads)))
-    tried = _in_pieces(exact, law, whole + float(np.log(PIECES)), base) if pieces else []
-    whole += float(np.log(1.0 - PIECES)) if tried else 0.0
+    tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
+    whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
     each = law.at_each(sightings)
-    tried += _forms(exact, law, whole + (np.log(1.0 - OWN_WAY) if each else 0.0), base)
-    tried += _forms(exact, each, whole + np.log(OWN_WAY), base) if each else []
-    found = []
+    tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
+    tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
+    best = []
     for name in {h.name: None for h in tried}:
-        alike = [h for h in tried if h.name == name]
-        total = float(log_sum_exp(np.array([h.value for h in alike])))
-        found.append(replace(alike[best_of(np.array([h.value for h in alike]))], value=total))
-    return found
+        same_name = [h for h in tried if h.name == name]
+        total = float(log_sum_exp(np.array([h.value for h in same_name])))
+        best.append(replace(same_name[best_of(np.array([h.value for h in same_name]))], value=total))
+    return best
 
 
-def _forms(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypothesis]:
+def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
     """The forms of a law at its place."""
     forms = law.forms(exact.space.sightings)
     whole = sum(FORMS[kind] for kind in forms)
-    shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(some))) for kind, some in forms.items()}
-    asked = [(shares[kind], scales) for kind, some in forms.items() for scales in some]
-    single, several = ([one for one in asked if (len(one[1]) == 1) == alone] for alone in (True, False))
-    climbed = exact.uphill([scales[0] for _, scales in single], base)
-    found = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
+    shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(sets))) for kind, sets in forms.items()}
+    asked = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
+    single, several = ([form for form in asked if (len(form[1]) == 1) == is_single] for is_single in (True, False))
+    climbed = exact.refine_locally([scales[0] for _, scales in single], base)
+    candidates = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
     moments = exact.moments([scales[0] for _, scales in several], base)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
-        spreads = np.stack([one.spread for one in scales])
+        spreads = np.stack([scaled.spread for scaled in scales])
         logs = evidence_with(gram, score[None], spreads)
-        found.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
-    return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in found]
+        candidates.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
+    return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in candidates]
 
 
-def _in_pieces(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypothesis]:
+def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
     """The law made of a few steps and ramps, chosen one after another while the evidence rises."""
     atoms = law.atoms(exact.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
@@ -65,15 +71,50 @@ def _in_pieces(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypoth
     places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
     chosen: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
-    while len(chosen) < min(taken + PATIENCE, MOST_PIECES, len(atoms)):
+    while len(chosen) < min(taken + EARLY_STOP, MOST_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         free = [i for i in range(len(atoms)) if i not in chosen]
-        some = np.stack([places[:, [*chosen, i]].ravel() for i in free])
-        values[free] = evidence_with(gram[some[:, :, None], some[:, None, :]], score[some], spread[some])
+        columns = np.stack([places[:, [*chosen, i]].ravel() for i in free])
+        values[free] = evidence_with(gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns])
         chosen.append(best_of(values))
         value = float(log_sum_exp(values)) - len(chosen) * price
         if value > best + TIE:
             best, taken = value, len(chosen)
-    found, value = exact.uphill([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
+    refined, value = exact.refine_locally([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
-    return [Hypothesis(found, prior, max(best + taken * price, value) + prior, name_of(found))]
+    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
+
+
+CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
+"""Points at which a curve is written down, those of each cycle of a wave, and at most."""
+
+
+def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
+    """The curve at the set-up where the law does most, and in that direction; None where it follows several covariates.
+
+    The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
+    """
+    driver = law.driver
+    if len(driver.covariates) != 1 or driver.kind == "amounts":
+        return None
+    law, way, means, spread = law.along(mean, covariance, sightings)
+    mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
+    x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
+    if driver.kind in ("wave", "cycle"):
+        cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
+        at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
+        columns = fourier_columns(driver.constant * at, driver.size // 2)
+    else:
+        order = np.argsort(x, kind="stable")
+        chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
+        at, columns = x[chosen], law.columns(sightings)[law.mask(sightings) > 0][chosen]
+    factor = law.parameters[0].factor
+    sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
+    values = columns @ mean
+    return Curve(
+        covariate=driver.covariates[0],
+        unit=law.carrier.unit,
+        at=tuple(at.tolist()),
+        value=tuple((values / factor).tolist()),
+        sigma=tuple((sigma / factor).tolist()),
+    )

@@ -57,9 +57,9 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
         before += _square(space.residual[rows], values, vectors)
         count += len(rows) - int(np.sum(values >= 1.0 - PREDICTED))
         if searcher is not None:
-            told = searcher.without_rows(rows)
-            left = space.residual - space.project(_shift(space, told, threshold))
-            after += _square(left[rows], values, vectors)
+            fold_search = searcher.without_rows(rows)
+            remaining = space.residual - space.project(_shift(space, fold_search, threshold))
+            after += _square(remaining[rows], values, vectors)
     if not count:
         return HeldOut()
     return HeldOut(float(np.sqrt(before / count)), None if searcher is None else float(np.sqrt(after / count)))
@@ -76,15 +76,15 @@ def folds(space: ResidualSpace, seed: int) -> list[Ints]:
 def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
     """R' (1 - H)^-1 r on a fold, by the spectrum of H there; what lies across all eigenvectors has redundancy one."""
     along = (vectors.T @ residual) ** 2
-    seen = values < 1.0 - PREDICTED
-    return float(residual @ residual - along.sum() + np.sum(along[seen] / (1.0 - values[seen])))
+    predicted = values < 1.0 - PREDICTED
+    return float(residual @ residual - along.sum() + np.sum(along[predicted] / (1.0 - values[predicted])))
 
 
 def _shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:
     """Change (m,) of all whitened readings by what a search finds."""
-    found = searcher.search(threshold, something=True)
-    if not found.members:
+    model = searcher.search(threshold, something=True)
+    if not model.members:
         return np.zeros(space.size)
-    mean = wide_posterior(*found.products, np.concatenate([h.spread for h in found.members]))[0]
-    signatures: Sequence[Floats] = [space.signature(effect) for effect in found.effects]
+    mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
+    signatures: Sequence[Floats] = [space.signature(effect) for effect in model.effects]
     return np.hstack(signatures) @ mean

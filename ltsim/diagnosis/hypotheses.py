@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import VISIBLE, orthonormal
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import best_of
-from ltsim.diagnosis.prior import OUTSIDE, SECOND_ALIKE
+from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import Tunable
 
@@ -43,7 +43,7 @@ class Hypothesis:
         return self.effect.spread
 
     @property
-    def known(self) -> bool:
+    def is_catalogued(self) -> bool:
         """Whether the catalogue has a card for it."""
         return self.name != "unknown"
 
@@ -54,7 +54,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class Found:
+class Model:
     """A set of findings; columns and residual beside it are computed where they are asked for.
 
     Attributes
@@ -69,9 +69,9 @@ class Found:
     """
 
     members: tuple[Hypothesis, ...]
-    left: tuple[Floats, ...]
+    projected: tuple[Floats, ...]
     norms: tuple[Floats, ...]
-    whole: Floats = field(repr=False)
+    baseline_residual: Floats = field(repr=False)
 
     @property
     def effects(self) -> list[Tunable]:
@@ -79,43 +79,43 @@ class Found:
         return [h.effect for h in self.members]
 
     @cached_property
-    def extension(self) -> Floats:
+    def basis(self) -> Floats:
         """(m, e): orthonormal columns of all members."""
         if not self.members:
-            return np.zeros((len(self.whole), 0))
-        return orthonormal(np.hstack(self.left), np.concatenate(self.norms))
+            return np.zeros((len(self.baseline_residual), 0))
+        return orthonormal(np.hstack(self.projected), np.concatenate(self.norms))
 
     @cached_property
     def residual(self) -> Floats:
         """(m,): what is left beside the members."""
-        left: Floats = self.whole - self.extension @ (self.extension.T @ self.whole)
-        return left
+        residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
+        return residual
 
     @cached_property
     def products(self) -> tuple[Floats, Floats]:
         """Products (k, k) of what is left of all signatures with each other, and (k,) with the residual."""
-        left = np.hstack(self.left)
-        return left.T @ left, left.T @ self.whole
+        projected = np.hstack(self.projected)
+        return projected.T @ projected, projected.T @ self.baseline_residual
 
     @cached_property
-    def misfit(self) -> float:
+    def discrepancy_penalty(self) -> float:
         """Log evidence that what is left may show because the curve of an unknown law is not quite right."""
-        if all(h.known for h in self.members):
+        if all(h.is_catalogued for h in self.members):
             return 0.0
         norms = np.concatenate(self.norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.products
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        seen = strength > VISIBLE
-        return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[seen] ** 2 / strength[seen]))
+        visible = strength > VISIBLE
+        return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
 
     @cached_property
     def score(self) -> float:
         """Log evidence of the set, the sizes of all members averaged, priors and misfit counted."""
         if not self.members:
             return 0.0
-        likeness = sum(alike(h, self.members[:i]) for i, h in enumerate(self.members))
-        doubt = self.misfit * (len(self.members) - 1)
+        likeness = sum(log_odds_repeated(h, self.members[:i]) for i, h in enumerate(self.members))
+        doubt = self.discrepancy_penalty * (len(self.members) - 1)
         return _over_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
 
 
@@ -138,17 +138,19 @@ class Ranking:
 
     entries: tuple[Hypothesis, ...]
     total: float
-    outside: float = -np.inf
+    log_evidence_unmodelled: float = -np.inf
 
-    def beside(self, rivals: Sequence[Hypothesis]) -> Ranking:
+    def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """The ranking with further hypotheses in it."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
         total = float(log_sum_exp(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total)
 
-    def doubted(self, likeness: float) -> Ranking:
+    def with_unmodelled_cause(self, likeness: float) -> Ranking:
         """The ranking with a cause in it that nobody listed, by the log ratio of its likelihood to that of the best."""
-        return replace(self, outside=self.total + likeness + float(np.log(OUTSIDE / (1.0 - OUTSIDE))))
+        return replace(
+            self, log_evidence_unmodelled=self.total + likeness + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED)))
+        )
 
     def name(self) -> str:
         """The likeliest name."""
@@ -158,18 +160,18 @@ class Ranking:
     def weights(self) -> Floats:
         """Posterior probability (k,) of each among everything that was tried, nothing at all included."""
         logs = np.array([h.value for h in self.entries])
-        found: Floats = np.exp(logs - self._whole)
-        return found
+        probabilities: Floats = np.exp(logs - self._whole)
+        return probabilities
 
     @cached_property
     def _whole(self) -> float:
         """Log sum of all explanations, that nothing is missing among them."""
-        return float(np.logaddexp.reduce([*(h.value for h in self.entries), self.outside, 0.0]))
+        return float(np.logaddexp.reduce([*(h.value for h in self.entries), self.log_evidence_unmodelled, 0.0]))
 
     @cached_property
-    def unlisted(self) -> float:
+    def p_unmodelled(self) -> float:
         """Posterior probability of a cause that nobody listed."""
-        return float(np.exp(self.outside - self._whole))
+        return float(np.exp(self.log_evidence_unmodelled - self._whole))
 
     def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
         """Posterior probability of some of them together."""
@@ -177,10 +179,10 @@ class Ranking:
 
     def probabilities(self) -> dict[str, float]:
         """Posterior probability of each name."""
-        found = {"unknown": self.unlisted} if self.unlisted else {}
+        named = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.entries, self.weights.tolist(), strict=True):
-            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + weight, 1.0)
-        return found
+            named[hypothesis.name] = min(named.get(hypothesis.name, 0.0) + weight, 1.0)
+        return named
 
 
 def likeliest(chances: Mapping[str, float]) -> str:
@@ -193,21 +195,21 @@ NEGLIGIBLE = 6.0
 """Log evidence that a size of one member is behind the best, the others at theirs, from which it is left out."""
 
 
-def _over_sizes(found: Found) -> float:
+def _over_sizes(model: Model) -> float:
     """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, averaged over all sizes t.
 
     Only sizes that count are summed: those which are near the best of a member while the others are at their best.
     """
-    gram, score = found.products
-    spread, owner = _spreads(found.members)
-    count, whole = len(found.members), 1.0 + float(found.whole @ found.whole)
+    gram, score = model.products
+    spread, owner = _spreads(model.members)
+    count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
     bordered = np.block([[gram, score[:, None]], [score, whole]])
-    own = np.diag(np.append(np.ones(len(score)), 0.0))
+    unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
         """Log evidence with prior (b,) at sizes (b, members)."""
         scale = np.pad(SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
-        factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + own)
+        factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row is what the factor makes of the residual
         size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
         value: Floats = fit - size + LOG_WEIGHTS[sizes].sum(axis=1)
@@ -228,11 +230,11 @@ def _over_sizes(found: Found) -> float:
 def _spreads(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of all coefficients, and which member each belongs to."""
     each = [h.spread for h in members]
-    return np.concatenate(each), np.repeat(np.arange(len(each)), [len(one) for one in each])
+    return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
 
 
-def alike(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
     """Log odds of a second effect of a kind that hardly comes twice."""
     if hypothesis.name not in {h.name for h in others}:
         return 0.0
-    return 0.0 if hypothesis.known and find_effect(hypothesis.name).plural else SECOND_ALIKE
+    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).plural else LOG_ODDS_REPEATED

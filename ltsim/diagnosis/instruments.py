@@ -1,35 +1,42 @@
-"""Constants of each instrument by a recording, and the combinations of them that are determined."""
+"""Constants of each instrument by a recording, compared with the other instruments and with earlier calibrations."""
+
+from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import LEFT, prior_sigmas
+from ltsim.adjustment.prior import LEFT, ParameterPrior, prior_sigmas
 from ltsim.calibration.evidence import (
     by_plausible_sizes,
-    change_seen,
-    changes_found,
     determined,
-    evidence,
+    forward_select,
+    likelihood_information,
     log_evidence,
     log_sum_exp,
+    score_test,
 )
+from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
 from ltsim.diagnosis.evidence import shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
 from ltsim.physics.effects.effect import Parameter
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
 from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Variance in guarantees of a constant that is taken to have changed, when the others are looked at."""
-NOT_APART = 0.01
+MIN_RIVAL_SHARE = 0.01
 """Share of the evidence from which another constant may be the one that is off."""
-ALIKE = 1e-6
+MIN_EIGENVALUE = 1e-6
 """Least eigenvalue of the correlation of changes that the readings tell apart; of others the likelier is told."""
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
@@ -127,16 +134,16 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
     corrected = np.array([setup.instrument_named(name).corrected for name in recording.instruments])
-    alike = ~corrected & (np.sum(~corrected) > 1)
-    common = np.where(np.outer(alike, alike)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0)
+    is_compared = ~corrected & (np.sum(~corrected) > 1)
+    common = np.where(np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0)
     common /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
-    own = np.where(corrected, LEFT**2, np.where(alike, 0.0, 1.0))
-    blocks = common + (np.eye(len(unit)) * own)[:, :, None]
+    separate = np.where(corrected, LEFT**2, np.where(is_compared, 0.0, 1.0))
+    blocks = common + (np.eye(len(unit)) * separate)[:, :, None]
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
     ours = tuple(np.flatnonzero(corrected).tolist())
-    owners = [(i,) for i in np.flatnonzero(corrected | alike).tolist()] + ([ours] if len(ours) > 1 else [])
-    words = {one: WORDS[bool(corrected[one[0]])] for one in owners}
-    changes = tuple(Change(one, k, words[one]) for one in owners for k in range(unit.shape[1]))
+    owners = [(i,) for i in np.flatnonzero(corrected | is_compared).tolist()] + ([ours] if len(ours) > 1 else [])
+    words = {group: WORDS[bool(corrected[group[0]])] for group in owners}
+    changes = tuple(Change(group, k, words[group]) for group in owners for k in range(unit.shape[1]))
     return compared(adjustment, Expected(np.zeros(unit.size), covariance, changes), least)
 
 
@@ -149,8 +156,13 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
-    said = evidence(adjustment.state.instrument.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel())
-    surprise, odds = said.told - said.information @ expected.mean, log_share("constant", len(expected.changes))
+    likelihood = likelihood_information(
+        adjustment.state.instrument.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
+    )
+    surprise, odds = (
+        likelihood.information_vector - likelihood.information @ expected.mean,
+        log_share("constant", len(expected.changes)),
+    )
     ways = np.zeros((len(expected.changes), *unit.shape))
     for way, change in zip(ways, expected.changes, strict=True):
         way[list(change.owners), change.constant] = 1.0
@@ -159,31 +171,33 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     def logs(others: Collection[int]) -> Floats:
         """Log evidence (h,) of each change beside others."""
         given = ways[list(others)]
-        score, weight = change_seen(said.information, surprise, expected.covariance + CHANGED * given.T @ given)
-        seen, told = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
-        found = np.full(len(ways), -np.inf)
-        for k in np.flatnonzero((seen > TINY) & ~np.isin(np.arange(len(ways)), list(others))):
+        score, weight = score_test(likelihood.information, surprise, expected.covariance + CHANGED * given.T @ given)
+        strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
+        values = np.full(len(ways), -np.inf)
+        for k in np.flatnonzero((strength > TINY) & ~np.isin(np.arange(len(ways)), list(others))):
             change = expected.changes[k]
-            found[k] = odds + _change(told[k] / seen[k], 1.0 / seen[k] + change.further, change.log_weights)
-        return found
+            values[k] = odds + _change(
+                score_along[k] / strength[k], 1.0 / strength[k] + change.further, change.log_weights
+            )
+        return values
 
-    found = changes_found(logs, least)
-    score, weight = change_seen(said.information, surprise, expected.covariance)
+    selected = forward_select(logs, least)
+    score, weight = score_test(likelihood.information, surprise, expected.covariance)
     every = ways @ weight @ ways.T
-    told: list[int] = []
-    for k in sorted((k for k in found if found[k][k] > least), key=lambda k: -found[k][k]):
-        square = every[np.ix_([*told, k], [*told, k])]
-        if np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > ALIKE:
-            told.append(k)
-    if not told:
+    reported: list[int] = []
+    for k in sorted((k for k in selected if selected[k][k] > least), key=lambda k: -selected[k][k]):
+        square = every[np.ix_([*reported, k], [*reported, k])]
+        if np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > MIN_EIGENVALUE:
+            reported.append(k)
+    if not reported:
         return []
-    covariance = np.linalg.inv(every[np.ix_(told, told)])
-    gap, sigma = covariance @ ways[told] @ score, np.sqrt(np.diag(covariance))
-    units = [unit[expected.changes[k].owners[0], expected.changes[k].constant] for k in told]
+    covariance = np.linalg.inv(every[np.ix_(reported, reported)])
+    gap, sigma = covariance @ ways[reported] @ score, np.sqrt(np.diag(covariance))
+    units = [unit[expected.changes[k].owners[0], expected.changes[k].constant] for k in reported]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
-        _contradiction(adjustment, expected.changes, found[k], k, float(g * u), float(s * u), float(c))
-        for k, g, s, c, u in zip(told, gap, sigma, chance, units, strict=True)
+        _contradiction(adjustment, expected.changes, selected[k], k, float(g * u), float(s * u), float(c))
+        for k, g, s, c, u in zip(reported, gap, sigma, chance, units, strict=True)
     ]
 
 
@@ -192,7 +206,7 @@ def _contradiction(
 ) -> Contradiction:
     """A change in the words of the instruments, its gap and deviation [SI], beside what rivals it."""
     change, parameters = changes[k], adjustment.construction.parameters
-    rivals = [i for i, one in enumerate(changes) if one.owners == change.owners]
+    rivals = [i for i, other in enumerate(changes) if other.owners == change.owners]
     share = shares(logs[rivals])
     return Contradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.owners),
@@ -203,7 +217,9 @@ def _contradiction(
         p_value=chance,
         against=change.words,
         rivals={
-            parameters[changes[rivals[i]].constant]: float(share[i]) for i in np.argsort(-share) if share[i] > NOT_APART
+            parameters[changes[rivals[i]].constant]: float(share[i])
+            for i in np.argsort(-share)
+            if share[i] > MIN_RIVAL_SHARE
         },
     )
 
@@ -211,6 +227,79 @@ def _contradiction(
 def _change(gap: float, variance: Floats | float, weights: Floats | float) -> float:
     """Log evidence of a change behind a gap, averaged over its variances (s,) by the logs of their weights."""
     variance, weights = np.atleast_1d(variance), np.atleast_1d(weights)
-    alike = weights - 0.5 * (gap**2 / variance + np.log(variance))
-    changed = alike + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
-    return float(log_sum_exp(changed) - log_sum_exp(alike))
+    unchanged = weights - 0.5 * (gap**2 / variance + np.log(variance))
+    changed = unchanged + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
+    return float(log_sum_exp(changed) - log_sum_exp(unchanged))
+
+
+MIN_INFORMATION = 1e-3
+"""Information on a constant, in guarantees, that earlier calibrations have at least."""
+SCATTERS = np.geomspace(0.05, 1e4, 80)
+"""True variance of a constant over that which a few calibrations show."""
+PRIOR_DOF = 4
+"""Degrees of freedom that the other constants' spreads are worth: most lie within a factor of two of each other."""
+
+
+@dataclass(frozen=True)
+class HistoryExpectation:
+    """Expectation of the constants of a recording's instruments by earlier calibrations."""
+
+    earlier: EarlierCalibrations
+    expected: ParameterPrior
+    """Mean and covariance, the day-to-day spread in it."""
+    guarantee: Floats
+    """(I, p) [SI], the maker's: the unit of all that is computed here."""
+
+    @classmethod
+    def of(cls, earlier: EarlierCalibrations, recording: Recording, construction: Construction) -> HistoryExpectation:
+        """Raise RecordError where the earlier calibrations are of other instruments or another construction."""
+        names = recording.instruments
+        if len(earlier.instruments) < min(len(names), 2):
+            raise RecordError(
+                f"the earlier calibrations are of one instrument, the recording is of {', '.join(names)}; expected "
+                "those of all of them"
+            )
+        nominal = ParameterPrior.independent(prior_sigmas(recording, construction))
+        return cls(earlier, earlier.over(nominal, construction, names), nominal.sigma)
+
+    def contradictions(self, adjustment: Adjustment, least: float) -> list[Contradiction]:
+        """Constants that have changed, each with more than `least` of log evidence, the most certain first."""
+        parameters, unit = adjustment.construction.parameters, self.guarantee
+        at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
+        names = [parameters[k].name for k in at]
+        covariance = [block / np.outer(u, u) for block, u in zip(self.expected.covariance, unit, strict=True)]
+        changes: list[Change] = []
+        for i, block in enumerate(covariance):
+            spreads = zip(*self._spreads(block[np.ix_(at, at)], unit[i, at], names), strict=True)
+            changes += [Change((i,), k, self._words(parameters[k]), *s) for k, s in zip(at, spreads, strict=True)]
+        mean = (self.expected.mean / unit).ravel()
+        return compared(adjustment, Expected(mean, linalg.block_diag(*covariance), tuple(changes)), least)
+
+    def _spreads(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
+        """Variances (k, s) that constants may have beside the expected ones (k, k), and the logs of their weights.
+
+        What a few calibrations scatter beyond their own noise is the spread, uncertain itself: they tell the variance
+        of a constant as chi-square, one degree less than there are of them, and the spreads of the other constants, in
+        guarantees, are worth some degrees more (Smyth, Statistical Applications in Genetics 3 (2004) 3). No constant
+        is taken to wander by more than its maker guarantees.
+        """
+        count = self.earlier.count
+        if count == 1:
+            return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
+        spread = self.earlier.spread[[self.earlier.parameters.index(name) for name in names]] ** 2 / unit**2
+        precision = (
+            np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0
+        )  # of the mean, without the maker's guarantee
+        scatter = count / np.maximum(precision, MIN_INFORMATION)
+        usual = scatter + np.median(spread) - spread
+        wider = np.minimum(np.outer(scatter, SCATTERS - 1.0), np.maximum(1.0 - spread, 0.0)[:, None])
+        shown = (count - 1 + PRIOR_DOF * usual / scatter)[:, None]
+        weights = -0.5 * (count - 1 + PRIOR_DOF) * np.log(SCATTERS) - 0.5 * shown / SCATTERS
+        return np.maximum(wider * (1.0 + 1.0 / count), -spread[:, None]), weights
+
+    def _words(self, parameter: Parameter) -> str:
+        """Name of the reference that a constant is compared with."""
+        if self.earlier.count == 1:
+            return "its calibration"
+        spread = self.earlier.spread[self.earlier.parameters.index(parameter.name)] / parameter.factor
+        return f"its history ({self.earlier.count} calibrations, spread {spread:.2g} {parameter.unit})"

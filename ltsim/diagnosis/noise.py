@@ -50,9 +50,9 @@ FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
 to a twentieth; of one among many, those that are clearly more."""
 FINE = 48
 """Sizes over which what stands out is averaged: a tenth apart, as `FACTORS`."""
-LOUDER = np.array([0.05, 0.15, 0.5])
+NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
 """Shares of all targets, or set-ups, that have more noise than stated."""
-LEAST_OWNERS = 4
+MIN_GROUPS = 4
 """Targets, or stations, from which noise may differ from one to the next."""
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
@@ -85,16 +85,16 @@ def _patterns(
     sightings: Sightings, trackers: Sequence[Place]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes; of whole observables it is the level."""
-    known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
-    known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
-    some: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
+    regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
+    regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
+    observables: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
     places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
-    for at, acts, name, falling in product(places, some, [*known, *further(sightings)], (False, True)):
+    for at, acts, name, falling in product(places, observables, [*regressors, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
         yield " and ".join(acts), pattern, GROWING
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
-    for acts in (*some, OBSERVABLES):
+    for acts in (*observables, OBSERVABLES):
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
             yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
         for group in groups:
@@ -104,11 +104,11 @@ def _patterns(
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
     """Every change of the noise with one pattern, by a grid of sizes; that of each of several `instruments` too."""
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
-    known = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
-    found = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in known for values in sizes]
+    effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
+    hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
     for family, pattern, sizes in _patterns(sightings, trackers_of(sightings, instruments)):
-        found += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
-    return found
+        hypotheses += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
+    return hypotheses
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ class Amounts:
     def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (g, trials) of each amount, sizes averaged."""
         squares, share = self.members @ residual**2, self.members @ redundancy
-        found = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
-        return found - np.log(len(self.factors))
+        total = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
+        return total - np.log(len(self.factors))
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for residuals (m, trials)."""
@@ -147,30 +147,34 @@ class Level(Amounts):
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Half of the chance for one amount, half for any set of observables but none."""
-        alike = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
-        together = alike.averaged(residual, redundancy)[0]
-        some = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
-        apart = some + np.log(-np.expm1(-np.maximum(some, TINY))) - np.log(2.0 ** len(OBSERVABLES) - 1.0)
-        return np.logaddexp(together, apart) - np.log(2.0)
+        common = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
+        together = common.averaged(residual, redundancy)[0]
+        any_observable = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
+        separate = (
+            any_observable
+            + np.log(-np.expm1(-np.maximum(any_observable, TINY)))
+            - np.log(2.0 ** len(OBSERVABLES) - 1.0)
+        )
+        return np.logaddexp(together, separate) - np.log(2.0)
 
 
-class Each(Amounts):
+class NoiseByGroup(Amounts):
     """Noise that differs from one target, or station, to the next: a share of them has more than stated."""
 
     @classmethod
-    def all_of(cls, space: ResidualSpace) -> tuple[Each, ...]:
+    def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
         """By target and by station, all observables alike and each by itself."""
-        found, kinds = [], len(OBSERVABLES)
-        for each, apart in product(("target", "station"), (False, True)):
+        banks, kinds = [], len(OBSERVABLES)
+        for each, per_observable in product(("target", "station"), (False, True)):
             names, of = owners_of(space.sightings, each)
-            if len(names) < LEAST_OWNERS:
+            if len(names) < MIN_GROUPS:
                 continue
-            key = of[:, None] * kinds + np.arange(kinds) if apart else np.repeat(of[:, None], kinds, axis=1)
+            key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
             rows = key[space.use]
-            shape = len(names) * (kinds if apart else 1), space.size
+            shape = len(names) * (kinds if per_observable else 1), space.size
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
-            found.append(cls(VarianceFunction(each=each, owners=names, per_observable=apart), members, COARSE))
-        return tuple(found)
+            banks.append(cls(VarianceFunction(each=each, owners=names, per_observable=per_observable), members, COARSE))
+        return tuple(banks)
 
     @property
     def name(self) -> str:
@@ -180,8 +184,8 @@ class Each(Amounts):
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """The share of those that have an amount averaged."""
         each = self.averaged(residual, redundancy)
-        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in LOUDER]
-        return log_sum_exp(np.stack(whole)) - np.log(len(LOUDER))
+        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE]
+        return log_sum_exp(np.stack(whole)) - np.log(len(NOISY_GROUP_SHARE))
 
 
 @dataclass(frozen=True)
@@ -218,13 +222,13 @@ class NoiseBank:
         """
         repeated = [repeat_means(space, faces) for faces in REPEATS]
         means = sp.csr_array(sp.vstack(repeated))
-        used, stated = space.use, space.sigma**2
+        used, variance = space.use, space.sigma**2
         parts: list[tuple[Ints, Floats]] = []
         for h in hypotheses:
-            factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
+            factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
             if faces := getattr(h.effect, "repeating", ""):
                 grown = [
-                    _grown(m, factor if kind == faces else np.ones(0))
+                    _variance_of_mean(m, factor if kind == faces else np.ones(0))
                     for kind, m in zip(REPEATS, repeated, strict=True)
                 ]
                 factor = np.concatenate([np.ones(space.size), *grown])
@@ -240,7 +244,7 @@ class NoiseBank:
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
-        amounts = (Level.of(space, quieter=quieter), *Each.all_of(space))
+        amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space))
         return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -252,15 +256,15 @@ class NoiseBank:
 
     def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors, in its diagonal form; what has amounts last."""
-        known = self._by_family(self.log_likelihood_ratio(residual, redundancy))
-        return np.vstack([known, *(self._of_amounts(one, residual, redundancy) for one in self.amounts)])
+        patterns = self._by_family(self.log_likelihood_ratio(residual, redundancy))
+        return np.vstack([patterns, *(self._of_amounts(amount, residual, redundancy) for amount in self.amounts)])
 
-    def _of_amounts(self, one: Amounts, residual: Floats, redundancy: Floats) -> Floats:
-        return one.evidence(residual, redundancy) + self.share(one.name)
+    def _of_amounts(self, amount: Amounts, residual: Floats, redundancy: Floats) -> Floats:
+        return amount.evidence(residual, redundancy) + self.share(amount.name)
 
     def share(self, family: str) -> float:
         """Log prior of a family: of noise that the catalogue names, or that no card describes."""
-        unknown = [name.startswith("unknown") for name in (*self.families, *(one.name for one in self.amounts))]
+        unknown = [name.startswith("unknown") for name in (*self.families, *(amount.name for amount in self.amounts))]
         return (
             log_share("scatter", sum(unknown))
             if family.startswith("unknown")
@@ -278,10 +282,10 @@ class NoiseBank:
         weight, at, size = rows.data.astype(np.float64), rows.indices, len(residual)
         estimated = np.hstack([self.basis, extension])
         inside = np.vstack([estimated[at[at < size]], self.means[at[at >= size] - size] @ estimated])
-        own = np.concatenate([residual[at[at < size]], self.means[at[at >= size] - size] @ residual])
+        values = np.concatenate([residual[at[at < size]], self.means[at[at >= size] - size] @ residual])
         normal = np.eye(inside.shape[1]) - inside.T @ (weight[:, None] * inside)
-        turned = inside.T @ (weight * own)
-        fit = float(weight @ own**2 + turned @ np.linalg.solve(normal, turned))
+        turned = inside.T @ (weight * values)
+        fit = float(weight @ values**2 + turned @ np.linalg.solve(normal, turned))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.data.sum(dtype=np.float64)))
 
     def _finely(self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats) -> float:
@@ -290,17 +294,17 @@ class NoiseBank:
         same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
         tried = np.array([self.hypotheses[i].values for i in members[same].tolist()])
         ends = np.where(tried > 0.0, tried, np.inf).min(axis=0), tried.max(axis=0)
-        gained = gained_by(self.space, self.space.sigma, effect, residual, redundancy)
+        gained = reml_gain(self.space, self.space.sigma, effect, residual, redundancy)
         each = log_sum_exp(np.array([gained(sizes) for sizes in np.geomspace(*ends, FINE)])) - np.log(FINE)
         subsets = [*each, each.sum()] if len(each) > 1 else each
-        own = log_sum_exp(np.array(subsets)) + np.log(same.sum() / len(subsets))
-        return float(log_sum_exp(np.append(ratio[~same], own)) - np.log(len(members)))
+        fine = log_sum_exp(np.array(subsets)) + np.log(same.sum() / len(subsets))
+        return float(log_sum_exp(np.append(ratio[~same], fine)) - np.log(len(members)))
 
     def ranked(self, residual: Floats, redundancy: Floats, extension: Floats) -> list[tuple[float, NoiseHypothesis]]:
         """Every family in the order of its evidence with prior, exact for the first; each with its likeliest member."""
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
         evidence = self._by_family(ratio)[:, 0]
-        found = []
+        entries = []
         for rank, family in enumerate(np.argsort(-evidence)):
             members = np.flatnonzero(self.family == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
@@ -310,11 +314,11 @@ class NoiseBank:
                 value += self.share(self.families[family])
                 if self.basis is not None:
                     value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
-            found.append((value, self.hypotheses[likeliest]))
-        for one in self.amounts:
-            value = float(self._of_amounts(one, residual[:, None], redundancy)[0])
-            found.append((value, NoiseHypothesis(one.name, one.effect, (0.0,) * len(one.effect.parameters))))
-        return sorted(found, key=lambda one: -one[0])
+            entries.append((value, self.hypotheses[likeliest]))
+        for entry in self.amounts:
+            value = float(self._of_amounts(entry, residual[:, None], redundancy)[0])
+            entries.append((value, NoiseHypothesis(entry.name, entry.effect, (0.0,) * len(entry.effect.parameters))))
+        return sorted(entries, key=lambda entry: -entry[0])
 
 
 def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
@@ -336,14 +340,14 @@ def _share_of_means(means: sp.csr_array, share: Floats) -> Floats:
     return np.maximum(1.0 - lost, LEAST_SHARE)
 
 
-def _grown(means: sp.csr_array, factor: Floats) -> Floats:
+def _variance_of_mean(means: sp.csr_array, factor: Floats) -> Floats:
     """Variance (g,) of means whose members share what is above the stated variance: 1 + k v."""
     padded = np.concatenate([factor, np.ones(means.shape[1] - len(factor))])
     return 1.0 + np.maximum((means > 0).astype(np.float64) @ (padded - 1.0), 0.0)
 
 
-def gained_by(
-    space: ResidualSpace, stated: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
+def reml_gain(
+    space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
     """Gain of sizes (k,) of an effect in log restricted likelihood (k,), each by the readings that follow it.
 
@@ -356,35 +360,35 @@ def gained_by(
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def factors(values: Floats) -> Floats:
-        factor = (effect.variance(space.sightings, stated, values) / space.sigma**2)[used]
-        return factor if means is None else _grown(means, factor)
+        factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
+        return factor if means is None else _variance_of_mean(means, factor)
 
-    own = np.argmax([factors(one) != factors(0.0 * scale) for one in np.diag(scale)], axis=0)
+    parameter = np.argmax([factors(unit) != factors(0.0 * scale) for unit in np.diag(scale)], axis=0)
 
     def gained(values: Floats) -> Floats:
         factor = factors(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where(factor > 0.0, restricted(squares, share, factor), -np.inf)
-        return np.asarray(np.bincount(own, each, minlength=len(scale)), dtype=np.float64)
+        return np.asarray(np.bincount(parameter, each, minlength=len(scale)), dtype=np.float64)
 
     return gained
 
 
-def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
 
     Sizes and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a
-    priori all factors on a variance are alike, by their logarithm. Each size has a posterior of its own (`gained_by`);
+    priori all factors on a variance are alike, by their logarithm. Each size has a posterior of its own (`reml_gain`);
     one that no reading feels is 0, its deviation infinite.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.spread
-    gained = gained_by(space, stated, effect, space.residual, space.redundancy)
+    gained = reml_gain(space, nominal, effect, space.residual, space.redundancy)
     least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
     for _ in range(ZOOMS):
         points = np.linspace(low, high, GRID)
         sizes = scale * np.expm1(points)
-        ratio = np.array([gained(one) for one in sizes])
+        ratio = np.array([gained(size) for size in sizes])
         weight, felt = shares(ratio), np.ptp(ratio, axis=0) > 0.0
         mean = np.sum(weight * points, axis=0)
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
@@ -394,7 +398,7 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
     gain = gained(values) - gained(0.0 * scale)
     if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
-        values = values * expit(gain + np.log(LOUDER.min() / (1.0 - LOUDER.min())))
+        values = values * expit(gain + np.log(NOISY_GROUP_SHARE.min() / (1.0 - NOISY_GROUP_SHARE.min())))
         gain = gained(values) - gained(0.0 * scale)
     drop = 2.0 * float(gain.sum())
     return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))

@@ -24,16 +24,16 @@ ABOUT = {
     "constant": "a constant of an instrument that is not what the others, its history or a stated correction say",
 }
 """The same in words."""
-OUTSIDE = 0.2
+P_UNMODELLED = 0.2
 """Share of causes that are in no list, and look like something that is: one in five."""
 SAME_OBSERVABLE = 0.5
 """Chance that such a cause acts on the observable of what it looks like."""
-PLAIN = 1.0 - OUTSIDE * SAME_OBSERVABLE
+P_CAP_TESTS = 1.0 - P_UNMODELLED * SAME_OBSERVABLE
 """Most that is stated of what is told without a likelihood of such a cause: it may shift readings, and look like it."""
-AS_NOISE = 0.25
+P_UNMODELLED_LOOKS_LIKE_NOISE = 0.25
 """Chance that a shift that nobody listed looks like noise, and not like a shift in one of the three observables."""
 _NOISE = PRIOR["noise"] + PRIOR["scatter"]
-NOISY = _NOISE / (_NOISE + AS_NOISE * OUTSIDE * (PRIOR["named"] + PRIOR["law"]))
+P_CAP_NOISE = _NOISE / (_NOISE + P_UNMODELLED_LOOKS_LIKE_NOISE * P_UNMODELLED * (PRIOR["named"] + PRIOR["law"]))
 """Most that is stated of noise that is more than stated: what nobody listed may shift readings, and look like it."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place at which a law outside the catalogue acts."""
@@ -52,9 +52,9 @@ AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Weights of what a curve turns out to be, among those that there are: mostly itself, or a short formula."""
-PIECES, OWN_WAY = 0.1, 0.1
+P_PIECEWISE, P_PER_SETUP = 0.1, 0.1
 """Shares of curves that are made of a few steps and ramps; of laws that every set-up follows in its own way."""
-SECOND_ALIKE = float(np.log(0.03))
+LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
 other second effect."""
 

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import ClassVar, Literal, Self
 
+from pydantic import Field
+
 from ltsim.adjustment.identification.tests import Test
 from ltsim.calibration.schema import COORDINATES, RESIDUALS, DeterminedEntry
 from ltsim.core.results import Table, numbers
@@ -47,13 +49,13 @@ class Evidence(Entry):
     """Chance of as much in a clean recording, in the whole search: of n simulated ones, never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this name against all other explanations."""
-    shown: Known = None
+    p_located: Known = None
     """Probability that it acts on this, here, and follows this, whatever the cause is called."""
 
     @property
     def chance(self) -> float:
         """Probability of its name, or of such a change whatever it is called."""
-        return max(self.probability, self.shown or 0.0)
+        return max(self.probability, self.p_located or 0.0)
 
 
 class Equivalent(Entry):
@@ -104,15 +106,15 @@ class Finding(Entry):
 
     effect: str
     """Id of the catalogue, or `unknown`."""
-    known: bool = True
-    """It is one of the catalogue."""
+    is_catalogued: bool = Field(default=True, alias="known")
+    """It is an effect of the catalogue."""
     sentence: str = ""
     """The same for a person."""
     where: Where = Where()
     """Scope of the finding."""
     parameters: tuple[Estimate, ...] = ()
     """Its size."""
-    moves_targets_um: Known = None
+    target_shift_rms_um: Known = None
     """Displacement of the targets where it is not modelled [um]: rms after the best rigid fit."""
     evidence: Evidence
     """Strength of the evidence."""
@@ -171,9 +173,9 @@ class Undetectable(Entry):
     """Id of the catalogue."""
     reason: str = ""
     """Why it leaves no trace here."""
-    hides_um: Known = None
+    undetected_target_error_um: Known = None
     """Error of the targets that a bad but plausible size of it hides."""
-    shows_at: Known = None
+    detectable_at_factor: Known = None
     """Multiple of a bad but plausible size from which it would be detected; null where it is never detectable."""
     cure: str = ""
     """The measurement that would help."""

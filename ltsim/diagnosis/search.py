@@ -20,16 +20,16 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
-from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
+from ltsim.diagnosis.catalogue_signatures import ORDINARY, CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.evidence import SCREENED_TIE, TIE, best_of, posterior, ranked
-from ltsim.diagnosis.exact import Exact
-from ltsim.diagnosis.forms import in_all_forms
-from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike
-from ltsim.diagnosis.panel import Hit, Panel
+from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
+from ltsim.diagnosis.forms import evaluate_forms
+from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
+from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw
+from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import log_share
-from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.schema import Estimate
-from ltsim.diagnosis.shapes import apart, between, shape_posterior
+from ltsim.diagnosis.shapes import are_distinct, interpolate, shape_posterior
 from ltsim.diagnosis.space import panels
 from ltsim.physics.effects.signature import ShapeParameter, Tunable
 from ltsim.physics.laws.law import Law
@@ -38,16 +38,16 @@ from ltsim.physics.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
 """Findings that are told at most, and as many constants of instruments; the tables have all of these."""
-FLEXIBLE = 10
+MOST_STIFF = 10
 """Coefficients of a curve in one quantity, `MODES` and a slope; what has more can imitate several effects."""
 REFINED, FEW = 7, 3
 """Cards, and laws, computed exactly in a round; in a large network, where each costs a solution of the whole."""
 GRID, FINER, ZOOMS = 11, 9, 2
 """Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above; points that
 are put around the best one, and how often, for the peak may be much narrower than a step."""
-BASINS, AMONG, BEHIND = 3, 40, 10.0
+MOST_OPTIMA, MOST_COMPARED, MOST_BEHIND = 3, 40, 10.0
 """Members of a family that are computed exactly, among its best ones, and how much log evidence they may be behind."""
-KEPT = 16
+MOST_CACHED = 16
 """Projected signatures that are kept."""
 MOST_LAWS = 400
 """Laws of all panels that are kept beside the ones computed exactly."""
@@ -64,7 +64,7 @@ class Screen(NamedTuple):
 
     values: Floats
     families: Floats
-    hits: list[Hit]
+    hits: list[ScreenedLaw]
     statistic: float
     null: Floats
 
@@ -73,25 +73,33 @@ class Searcher:
     """Search over cards and laws in one residual space."""
 
     def __init__(
-        self, space: ResidualSpace, seed: int, trials: int = 0, *, cards: Cards | None = None, ordinary: bool = True
+        self,
+        space: ResidualSpace,
+        seed: int,
+        trials: int = 0,
+        *,
+        cards: CatalogueSignatures | None = None,
+        ordinary: bool = True,
     ) -> None:
         """A search, judged by so many simulated recordings; with `cards` of one on the same readings, if there are.
 
         Constants of the `ordinary` calibration are tried against their prior, but where a history takes its place.
         """
         self.space = space
-        self.probe = Probe.of(space, seed, trials)
-        self.large = self.probe.sampled
+        self.probe = NullEnsemble.of(space, seed, trials)
+        self.large = self.probe.gram_is_monte_carlo
         self._most = FEW if self.large else REFINED
         if cards is None:
-            every = card_hypotheses(space.sightings, space.adjustment.recording.instruments)
-            cards = Cards.of(space, [effect for effect in every if ordinary or type(effect) not in ORDINARY])
+            every = catalogue_hypotheses(space.sightings, space.adjustment.recording.instruments)
+            cards = CatalogueSignatures.of(
+                space, [effect for effect in every if ordinary or type(effect) not in ORDINARY]
+            )
         self.cards = cards
-        self.panels: list[Panel] = panels(space, ordinary=ordinary)
-        self.empty = Found((), (), (), space.residual)
+        self.panels: list[LawBatch] = panels(space, ordinary=ordinary)
+        self.empty = Model((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
-        self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
-        self.exact = Exact(space)
+        self._projected: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
+        self.exact = EvidenceCalculator(space)
         self.first = self._screened(self.empty)
 
     def without_rows(self, rows: Ints) -> Searcher:
@@ -104,56 +112,56 @@ class Searcher:
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
         rest.space, rest.large, rest._most = self.space.extended(unit), True, FEW
-        rest.probe = self.probe.beside(rest.space.residual, self.empty.extension)
-        rest.empty = Found((), (), (), rest.space.residual)
-        rest._ranked, rest._left = {}, OrderedDict()
-        rest.exact = Exact(rest.space)
+        rest.probe = self.probe.with_model(rest.space.residual, self.empty.basis)
+        rest.empty = Model((), (), (), rest.space.residual)
+        rest._ranked, rest._projected = {}, OrderedDict()
+        rest.exact = EvidenceCalculator(rest.space)
         rest.first = rest._screened(rest.empty)
         return rest
 
-    def rank(self, base: Found) -> Ranking:
+    def rank(self, base: Model) -> Ranking:
         """Everything beside a set: scored at once, the best computed exactly."""
         key = frozenset(h.key for h in base.members)
         if key not in self._ranked:
             self._ranked[key] = self._rank(base)
         return self._ranked[key]
 
-    def _screened(self, base: Found) -> Screen:
+    def _screened(self, base: Model) -> Screen:
         """All cards and laws beside a set, scored at once."""
-        probe = self.probe.beside(base.residual, base.extension) if base.members else self.probe
+        probe = self.probe.with_model(base.residual, base.basis) if base.members else self.probe
         values, chance = self.cards.score(probe)
-        families = self.cards.family_evidence(values) + self._of_a_card
-        hits: list[Hit] = []
-        statistic, null = log_sum_exp(families), log_sum_exp(chance + self._of_a_card)
+        families = self.cards.family_evidence(values) + self._log_family_prior
+        hits: list[ScreenedLaw] = []
+        statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
         for panel in self.panels:
-            found, law_total, law_chance = panel.score(probe)
-            hits += found
+            hits_here, law_total, law_chance = panel.score(probe)
+            hits += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
         return Screen(values, families, hits, float(statistic), null)
 
     @property
-    def _of_a_card(self) -> float:
+    def _log_family_prior(self) -> float:
         """Log prior of each family of cards."""
         return log_share("named", len(self.cards.families))
 
-    def _rank(self, base: Found) -> Ranking:
+    def _rank(self, base: Model) -> Ranking:
         values, families, hits, _, _ = self._screened(base) if base.members else self.first
         entries = self._laws(hits, base)
         for i, family in enumerate(ranked(families, SCREENED_TIE)):
             entries.append(self._card(int(family), values, float(families[family]), base, refine=i < self._most))
-        entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
+        entries = [replace(h, value=h.value + log_odds_repeated(h, base.members)) for h in entries]
         entries = [entries[i] for i in ranked(np.array([h.value for h in entries]))]
         return Ranking(tuple(entries), float(log_sum_exp(np.array([h.value for h in entries]))))
 
-    def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
+    def _card(self, family: int, values: Floats, total: float, base: Model, *, refine: bool) -> Hypothesis:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
         members = np.flatnonzero(self.cards.family == family)
         members = members[ranked(values[members], SCREENED_TIE)]
-        prior = self._of_a_card - float(np.log(len(members)))
+        prior = self._log_family_prior - float(np.log(len(members)))
         best = Hypothesis(self.cards.effects[members[0]], prior, total, self.cards.families[family])
         if not refine:
             return best
-        for i in self._basins(members, values):
+        for i in self._local_optima(members, values):
             effect, value = self._integrated(self.cards.effects[i], base)
             others = np.delete(values[members], np.flatnonzero(members == i))
             whole = float(log_sum_exp(np.append(others, value))) + prior
@@ -161,26 +169,26 @@ class Searcher:
                 best = replace(best, effect=effect, value=whole)
         return best
 
-    def _basins(self, members: Ints, values: Floats) -> list[int]:
+    def _local_optima(self, members: Ints, values: Floats) -> list[int]:
         """The best members of a family, and others nearly as good at another place or shape."""
         chosen = [int(members[0])]
-        for i in members[1:AMONG]:
-            if len(chosen) == BASINS or values[i] < values[chosen[0]] - BEHIND:
+        for i in members[1:MOST_COMPARED]:
+            if len(chosen) == MOST_OPTIMA or values[i] < values[chosen[0]] - MOST_BEHIND:
                 break
-            if all(apart(self.cards.effects[int(i)], self.cards.effects[j]) for j in chosen):
+            if all(are_distinct(self.cards.effects[int(i)], self.cards.effects[j]) for j in chosen):
                 chosen.append(int(i))
         return chosen
 
-    def _integrated(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
+    def _integrated(self, effect: Tunable, base: Model) -> tuple[Tunable, float]:
         """An effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
-        effect, value = self.exact.uphill([effect], base)[0]
+        effect, value = self.exact.refine_locally([effect], base)[0]
         for shape in type(effect).shape:
             now = getattr(effect, shape.name)
             if isinstance(now, float) and shape.steps > 1:
                 effect, value = self._over(effect, shape, base, value)
         return effect, value
 
-    def _over(self, effect: Tunable, shape: ShapeParameter, base: Found, value: float) -> tuple[Tunable, float]:
+    def _over(self, effect: Tunable, shape: ShapeParameter, base: Model, value: float) -> tuple[Tunable, float]:
         """One shape constant: best value and log mean evidence over a cell, by the trapezoidal rule."""
         now = float(getattr(effect, shape.name))
         low, high = shape.bracket(now)
@@ -188,8 +196,8 @@ class Searcher:
             return effect, value
         u = np.linspace(-1.0, 1.0, GRID)
 
-        def tried(some: Floats) -> Floats:
-            values = (between(shape, low, high, x) for x in some.tolist())
+        def tried(points: Floats) -> Floats:
+            values = (interpolate(shape, low, high, x) for x in points.tolist())
             return self.exact.evidence([effect.reshaped(**{shape.name: value}) for value in values], base)
 
         logs = tried(u)
@@ -199,90 +207,90 @@ class Searcher:
             more = np.setdiff1d(np.linspace(near[0], near[-1], FINER), u)
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
-        best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[best_of(logs)]))})
+        best = effect.reshaped(**{shape.name: interpolate(shape, low, high, float(u[best_of(logs)]))})
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
-    def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
+    def _laws(self, hits: Sequence[ScreenedLaw], base: Model) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
-        found, seen = [], set[tuple[object, ...]]()
+        entries, evaluated = [], set[tuple[object, ...]]()
         hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
             place, driver = hit.place, hit.driver.centred_on(hit.place.targets)
             law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
             key = (hit.carrier.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
-            if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
-                seen.add(key)
-                found += in_all_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
+            if len(evaluated) < self._most and key not in evaluated and hit.value > _promising(hits[0].value):
+                evaluated.add(key)
+                entries += evaluate_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
-                found.append(Hypothesis(law, hit.log_prior, hit.value, name_of(law)))
-        return found
+                entries.append(Hypothesis(law, hit.log_prior, hit.value, name_of(law)))
+        return entries
 
-    def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
+    def estimates(self, hypothesis: Hypothesis, others: Model, refitted: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
         effect = hypothesis.effect
         if isinstance(effect, Law):
             sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
             return tuple(Estimate(**size._asdict()) for size in sizes)
-        found = shape_posterior(self.exact, effect, others, told)
-        wider = any(found[e.name].sigma > WIDER * e.sigma for e in told if e.name in found)
-        rows = [found.get(e.name, e) if wider else e for e in told]
-        if "time" in found and all(e.name != "time" for e in rows):
-            rows.append(found["time"])
+        marginal = shape_posterior(self.exact, effect, others, refitted)
+        wider = any(marginal[e.name].sigma > WIDER * e.sigma for e in refitted if e.name in marginal)
+        rows = [marginal.get(e.name, e) if wider else e for e in refitted]
+        if "time" in marginal and all(e.name != "time" for e in rows):
+            rows.append(marginal["time"])
         return tuple(rows)
 
-    def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:
+    def coefficients(self, law: Law, others: Model) -> tuple[Floats, Floats]:
         """Mean (k,) and covariance (k, k) of a law's coefficients beside a set."""
         gram, score = self.exact.moments([law], others)[0]
         return posterior(gram, score, law.spread)[:2]
 
-    def with_members(self, members: Sequence[Hypothesis]) -> Found:
+    def with_members(self, members: Sequence[Hypothesis]) -> Model:
         """The set of some hypotheses, scored together."""
         if not members:
             return self.empty
-        parts = [self._left_of(h) for h in members]
-        return Found(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
+        parts = [self._projected_signature(h) for h in members]
+        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
 
-    def without(self, found: Found, member: int) -> Found:
+    def without(self, model: Model, member: int) -> Model:
         """A set less one of its members."""
-        return self.with_members(found.members[:member] + found.members[member + 1 :])
+        return self.with_members(model.members[:member] + model.members[member + 1 :])
 
-    def _left_of(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+    def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Projection of a signature onto the residual space, and lengths of its columns; the last few are cached."""
         key = hypothesis.key
-        if key not in self._left:
+        if key not in self._projected:
             whole = self.exact.signature(hypothesis.effect)
-            self._left[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
-        self._left.move_to_end(key)
-        if len(self._left) > KEPT:
-            self._left.popitem(last=False)
-        return self._left[key]
+            self._projected[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
+        self._projected.move_to_end(key)
+        if len(self._projected) > MOST_CACHED:
+            self._projected.popitem(last=False)
+        return self._projected[key]
 
-    def search(self, threshold: float, *, something: bool) -> Found:
+    def search(self, threshold: float, *, something: bool) -> Model:
         """The best set: each further finding must raise the evidence of all there is by `threshold`.
 
         A curve with many coefficients can imitate several effects: the search begins again with the best of those that
         have few, and what gains more is told.
         """
-        best = self._grown(self.empty, threshold, something=something)
-        stiff = [h for h in self.rank(self.empty).entries if len(h.spread) <= FLEXIBLE]
-        if stiff and not self.large and any(len(h.spread) > FLEXIBLE for h in best.members):
-            made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
+        best = self._forward(self.empty, threshold, something=something)
+        stiff = [h for h in self.rank(self.empty).entries if len(h.spread) <= MOST_STIFF]
+        if stiff and not self.large and any(len(h.spread) > MOST_STIFF for h in best.members):
+            made = (best, self._forward(self.with_members(stiff[:1]), threshold, something=True))
             best = max(made, key=lambda s: s.score - threshold * len(s.members))
-        return self._renamed(best, threshold)
+        return self._relabel(best, threshold)
 
-    def first_look(self, threshold: float, rival: float) -> Found:
+    def lower_bound(self, threshold: float, rival: float) -> Model:
         """Lower bound of a search: findings added one at a time, none of them examined again.
 
         It ends where it is beyond the evidence of a `rival`, or would not be if all others gained as much as the last.
         """
-        return self._grown(self.empty, threshold, something=True, rival=rival)
+        return self._forward(self.empty, threshold, something=True, rival=rival)
 
-    def _grown(self, best: Found, threshold: float, *, something: bool, rival: float | None = None) -> Found:
+    def _forward(self, best: Model, threshold: float, *, something: bool, rival: float | None = None) -> Model:
         """A set with findings added one at a time, those before examined again beside each if there is no `rival`."""
         again = rival is None
         for depth in range(len(best.members), MOST_MEMBERS):
-            ranking, least = self.rank(best), threshold + best.misfit
+            ranking, least = self.rank(best), threshold + best.discrepancy_penalty
             if ranking.total < least and (depth or not something):
                 break
             grown = _best([self.with_members((*best.members, h)) for h in ranking.entries[:3]])
@@ -294,39 +302,39 @@ class Searcher:
                 break
         return self.reexamined(best) if again and self.large else best
 
-    def _renamed(self, found: Found, threshold: float) -> Found:
+    def _relabel(self, model: Model, threshold: float) -> Model:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
-        for member in found.members[::-1]:
-            others = self.without(found, found.members.index(member))
+        for member in model.members[::-1]:
+            others = self.without(model, model.members.index(member))
             ranking = self.rank(others)
-            if others.members and ranking.total < threshold + others.misfit:
-                found = others
+            if others.members and ranking.total < threshold + others.discrepancy_penalty:
+                model = others
             elif (likeliest := ranking.name()) != member.name:
                 better = next(h for h in ranking.entries if h.name == likeliest)
-                found = self.with_members((*others.members, better))
-        return found
+                model = self.with_members((*others.members, better))
+        return model
 
-    def reexamined(self, found: Found) -> Found:
+    def reexamined(self, model: Model) -> Model:
         """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
         for turn in range(2):
-            before = found.score
+            before = model.score
             for size in (1,) if turn or self.large else (1, 2):
-                for some in combinations(range(len(found.members)), size):
-                    if len(found.members) < 2 or max(some) >= len(found.members):
+                for dropped in combinations(range(len(model.members)), size):
+                    if len(model.members) < 2 or max(dropped) >= len(model.members):
                         continue
-                    others = tuple(h for i, h in enumerate(found.members) if i not in some)
+                    others = tuple(h for i, h in enumerate(model.members) if i not in dropped)
                     rest = self.with_members(others)
                     made = [self.with_members((*others, h)) for h in self.rank(rest).entries[: 2 if others else 6]]
-                    found = _best([found, *made, *([rest] if others else [])])
-            if found.score <= before + 1e-6:
+                    model = _best([model, *made, *([rest] if others else [])])
+            if model.score <= before + 1e-6:
                 break
-        return found
+        return model
 
 
-def _best(sets: Sequence[Found]) -> Found:
+def _best(sets: Sequence[Model]) -> Model:
     """The set with the largest score; of equal ones the first."""
-    most = max(found.score for found in sets)
-    return next(found for found in sets if found.score >= most - TIE)
+    most = max(model.score for model in sets)
+    return next(model for model in sets if model.score >= most - TIE)
 
 
 def _promising(best: float) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import FACTOR
 from ltsim.diagnosis.evidence import shares, wide_posterior
-from ltsim.diagnosis.exact import Exact
-from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
+from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import Estimate
 from ltsim.physics.effects.signature import ShapeParameter, Tunable
 
@@ -31,7 +31,7 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def between(shape: ShapeParameter, low: float, high: float, u: float) -> float:
+def interpolate(shape: ShapeParameter, low: float, high: float, u: float) -> float:
     """The shape constant at u, from -1 at `low` to 1 at `high`, evenly in the coordinate of its grid."""
     s = 0.5 * (u + 1.0)
     if shape.logarithmic:
@@ -41,18 +41,18 @@ def between(shape: ShapeParameter, low: float, high: float, u: float) -> float:
     return float(low + s * (high - low))
 
 
-def apart(one: Tunable, other: Tunable) -> bool:
+def are_distinct(effect: Tunable, other: Tunable) -> bool:
     """Whether two effects differ in place, or in a shape constant by more than integration reaches."""
-    if (one.stations, one.targets) != (other.stations, other.targets):
+    if (effect.stations, effect.targets) != (other.stations, other.targets):
         return True
-    for shape in type(one).shape:
+    for shape in type(effect).shape:
         low, high = shape.bracket(float(vars(other)[shape.name]))
-        if not low <= float(vars(one)[shape.name]) <= high:
+        if not low <= float(vars(effect)[shape.name]) <= high:
             return True
     return False
 
 
-class Shaped(NamedTuple):
+class ShapeNode(NamedTuple):
     """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
 
     The weight is the evidence and the room that the constants stand for; the time of a change is one of them, and lies
@@ -68,16 +68,16 @@ class Shaped(NamedTuple):
     """[s] Between the pointings before and after a change."""
 
 
-def _gaps(effects: Sequence[Tunable]) -> dict[float, float]:
+def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:
     """The gap [s] between pointings in which each time of a change lies, by the middles of its neighbours."""
-    times = np.unique([float(vars(one).get("time", np.nan)) for one in effects])
+    times = np.unique([float(vars(effect).get("time", np.nan)) for effect in effects])
     times = times[np.isfinite(times)]
     return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
 
 
 def all_shapes(
-    exact: Exact, effect: Tunable, base: Found, spread: Mapping[str, float], *, plausible: bool = False
-) -> list[Shaped]:
+    exact: EvidenceCalculator, effect: Tunable, base: Model, spread: Mapping[str, float], *, plausible: bool = False
+) -> list[ShapeNode]:
     """An effect in all its shapes and at its neighbours in place, all alike at first; empty without either.
 
     Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). They are weighed by what
@@ -90,37 +90,39 @@ def all_shapes(
     count = 33 if len(shapes) == 1 and not near else 15
     axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
     sizes = effect.spread
-    gaps = _gaps([effect, *near])
+    gaps = _cell_widths([effect, *near])
     points = [
-        (one, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
-        for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
+        (instance, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
+        for instance, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
     ]
-    shaped = [one.reshaped(**constants) for one, constants, _ in points]
-    told = [wide_posterior(*moments, sizes) for moments in exact.moments(shaped, base)]
-    weighed = exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in told]
-    found = []
-    for (one, constants, widths), shape, (mean, covariance, _), evidence in zip(
-        points, shaped, told, weighed, strict=True
+    shaped = [instance.reshaped(**constants) for instance, constants, _ in points]
+    posteriors = [wide_posterior(*moments, sizes) for moments in exact.moments(shaped, base)]
+    weighed = exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in posteriors]
+    nodes = []
+    for (instance, constants, widths), shape, (mean, covariance, _), evidence in zip(
+        points, shaped, posteriors, weighed, strict=True
     ):
-        constants |= {"time": float(vars(one)["time"])} if "time" in vars(effect) else {}
+        constants |= {"time": float(vars(instance)["time"])} if "time" in vars(effect) else {}
         gap = gaps.get(constants.get("time", np.nan), 0.0)
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
-        found.append(Shaped(shape, weight, constants, mean, np.diag(covariance), gap))
-    return found
+        nodes.append(ShapeNode(shape, weight, constants, mean, np.diag(covariance), gap))
+    return nodes
 
 
-def shape_posterior(exact: Exact, effect: Tunable, base: Found, told: Sequence[Estimate]) -> dict[str, Estimate]:
+def shape_posterior(
+    exact: EvidenceCalculator, effect: Tunable, base: Model, estimates: Sequence[Estimate]
+) -> dict[str, Estimate]:
     """Means and standard deviations of parameters and constants over all shapes, the finest around what is `told`.
 
     Shapes are weighed by their evidence and the room they stand for; each brings the uncertainty it leaves the
     parameters. Unlike a curvature at the optimum this holds where a likelihood is flat, skew, cut off by bounds, or has
     two tops. Empty for effects without such constants.
     """
-    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in told})
+    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in estimates})
     if not shapes:
         return {}
-    weight = shares(np.array([one.log_weight for one in shapes]))
-    values = np.array([[*one.mean, *one.constants.values()] for one in shapes])
+    weight = shares(np.array([node.log_weight for node in shapes]))
+    values = np.array([[*node.mean, *node.constants.values()] for node in shapes])
     within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
     mean = weight @ values
     sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))

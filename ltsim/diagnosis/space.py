@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import times_to_noise
-from ltsim.diagnosis.panel import Cells, Panel
+from ltsim.diagnosis.law_batch import LawBatch, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.places import Place, clusters, each, group_places, neighbour_groups, trackers_of
@@ -42,7 +42,7 @@ ONLY = {"product": ("reading",), "room": ("target",)}
 Drivers = Mapping[str, Sequence[Regressor]]
 
 
-def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[Panel]:
+def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
     """All panels of a recording; their priors sum to that of laws without a card.
 
     Constants of the instruments are among them as long as they are `ordinary`: a history is compared with by itself. A
@@ -61,14 +61,14 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
     everywhere = (Place((), (), np.arange(len(s))),)
     stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
     targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
-    some = len(s.target_names) in GROUPED
-    groups = tuple(group_places(s, clusters(s) | neighbour_groups(s))) if some else ()
+    is_grouped = len(s.target_names) in GROUPED
+    groups = tuple(group_places(s, clusters(s) | neighbour_groups(s))) if is_grouped else ()
     stay = float(np.median([len(place.rows) for place in stations] or [0]))
     general = regressors_of(s)
     there = general if stay > FINE * MODES else regressors_of(s, LOW)
     swings = list(waves(s, ("station-time",), among=len(s.station_names)))
     return [
-        ("everywhere", everywhere, {kind: some for kind, some in general.items() if kind != "clock"}),
+        ("everywhere", everywhere, {kind: is_grouped for kind, is_grouped in general.items() if kind != "clock"}),
         ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
         ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
         ("target", targets, {"constant": general["constant"], "clock": general["clock"]}),
@@ -87,26 +87,26 @@ class _Maker:
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings
         self._sigma, self._use = space.sigma, space.use
-        self._known: dict[tuple[str, int], list[tuple[ResponseTerm, Floats]]] = {}
+        self._carriers: dict[tuple[str, int], list[tuple[ResponseTerm, Floats]]] = {}
         self._asked: dict[
             tuple[tuple[ResponseTerm, ...], tuple[Regressor, ...]], list[tuple[tuple[Place, ...], float]]
         ] = {}
         for carrier, design in response_designs(self._s).values():
             weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
             sized = at_noise(carrier, weights)
-            self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
+            self._carriers.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
     def ask(self, place: str, places: tuple[Place, ...], offered: Drivers, held: tuple[str, ...]) -> None:
         """Ask for panels at some places, of carriers and of the drivers that move them; some kinds are `held`."""
         kinds = AT_TARGETS if place in ("target", "group") else KINDS
-        for (kind, ways), known in self._known.items():
-            carriers = sum(len(some) for (other, _), some in self._known.items() if other == kind)
+        for (kind, ways), carriers_of_kind in self._carriers.items():
+            carriers = sum(len(same) for (other, _), same in self._carriers.items() if other == kind)
             for name, drivers in offered.items():
                 if kind not in kinds or kind not in ONLY.get(name, (kind,)) or (name == "constant" and kind in held):
                     continue
                 moved = [d for d in drivers if is_admissible(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
                 weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS ** DEPTHS[name] / carriers
-                self._share(tuple(c for c, _ in known), moved, places, weight, ways)
+                self._share(tuple(c for c, _ in carriers_of_kind), moved, places, weight, ways)
 
     def _share(
         self,
@@ -117,34 +117,34 @@ class _Maker:
         ways: int,
     ) -> None:
         """Share a weight for each carrier evenly among drivers and the places that have room for them."""
-        alike: dict[tuple[int, int], list[Regressor]] = {}
+        by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for driver in drivers:
-            alike.setdefault((driver.size, len(driver.spreads)), []).append(driver)
-        fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in alike}
-        count = sum(len(some) * scales * len(fit[k, scales]) for (k, scales), some in alike.items())
-        for size, same in alike.items():
+            by_shape.setdefault((driver.size, len(driver.spreads)), []).append(driver)
+        fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in by_shape}
+        count = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
+        for size, same in by_shape.items():
             if fit[size]:
                 self._asked.setdefault((carriers, tuple(same)), []).append((fit[size], weight / count))
 
-    def panels(self) -> list[Panel]:
+    def panels(self) -> list[LawBatch]:
         """Panels of the requested laws: the same carriers and drivers at all their places in one panel."""
-        weights = {c: w for known in self._known.values() for c, w in known}
+        weights = {c: w for carriers_of_kind in self._carriers.values() for c, w in carriers_of_kind}
         whole = sum(
-            prior * len(some) * len(carriers) * sum(len(d.spreads) for d in drivers)
+            prior * len(group) * len(carriers) * sum(len(d.spreads) for d in drivers)
             for (carriers, drivers), wanted in self._asked.items()
-            for some, prior in wanted
+            for group, prior in wanted
         )
-        cells: dict[tuple[int, ...], Cells] = {}
-        found = []
+        cells: dict[tuple[int, ...], RowPartition] = {}
+        batches = []
         for (carriers, drivers), wanted in self._asked.items():
-            places = tuple(place for some, _ in wanted for place in some)
+            places = tuple(place for group, _ in wanted for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
-                cells[same] = Cells.of(places, len(self._s))
+                cells[same] = RowPartition.of(places, len(self._s))
             columns = [d.columns(self._s, moving=carriers[0].kind == "target") for d in drivers]
-            share = np.concatenate([np.full(len(some), prior / whole) for some, prior in wanted])
-            found.append(
-                Panel(
+            share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
+            batches.append(
+                LawBatch(
                     carriers,
                     drivers,
                     places,
@@ -154,7 +154,7 @@ class _Maker:
                     log_prior=np.log(PRIOR["law"] * share),
                 )
             )
-        return found
+        return batches
 
 
 def _swings(kind: str, wave: Regressor) -> bool:

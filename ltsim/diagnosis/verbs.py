@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.known import Known
+from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.diagnosis.diagnose import diagnose as diagnosis_of
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.recordings.exchange import RecordingSource, recording_of
@@ -49,5 +49,5 @@ def diagnose(
     >>> found.verdict, len(found.findings)
     ('consistent', 0)
     """
-    known = None if history is None else Known.of(history)
-    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=known, held_out=held_out)
+    earlier = None if history is None else EarlierCalibrations.of(history)
+    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=earlier, held_out=held_out)

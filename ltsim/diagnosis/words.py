@@ -22,9 +22,9 @@ COVARIATES = {
 
 def estimates(parameters: Sequence[Estimate]) -> str:
     """The most telling estimates in a phrase; what is no larger than its uncertainty is left to the tables."""
-    felt = [p for p in parameters if abs(p.value) > p.sigma]
-    told = sorted(felt, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
-    chosen = [p for p in parameters if p in told]
+    significant = [p for p in parameters if abs(p.value) > p.sigma]
+    largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
+    chosen = [p for p in parameters if p in largest]
     return ", ".join(_estimate(p) for p in chosen)
 
 
@@ -51,32 +51,32 @@ def percent(probability: float) -> str:
     return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
-def card_sentence(
-    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, shown: float | None = None
+def catalogue_sentence(
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, p_located: float | None = None
 ) -> str:
     """An effect of the catalogue in a sentence: what the readings show, and what usually causes it."""
     card = card_of(find_effect(effect))
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
-    told = estimates(parameters)
-    if max(probability, shown or 0.0) < LIKELY:
-        perhaps = f"{title[0].lower()}{title[1:]}{f' ({told})' if told else ''}, {percent(probability)}"
+    sizes = estimates(parameters)
+    if max(probability, p_located or 0.0) < LIKELY:
+        perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent(probability)}"
         return f"Something is off ({at}) that these readings do not tell: {perhaps}."
-    seen = "" if shown is None else f"such a change here: {percent(shown)}; "
+    located = "" if p_located is None else f"such a change here: {percent(p_located)}; "
     cause = f"usual cause: {card.cause} (probability of this name {percent(probability)})"
-    return f"{title} ({at}){f': {told}' if told else ''}; {seen}{cause}."
+    return f"{title} ({at}){f': {sizes}' if sizes else ''}; {located}{cause}."
 
 
-def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law: str) -> str:
+def law_sentence(where: Where, parameters: Sequence[Estimate], p_located: float, law: str) -> str:
     """A law that no card names, in one sentence: what varies with what, where, how much, how surely."""
-    told = estimates(parameters)
-    size = f" ({told})" if told else ""
+    sizes = estimates(parameters)
+    size = f" ({sizes})" if sizes else ""
     at = _at(where.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
-    if shown < LIKELY:
-        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent(shown)})"
+    if p_located < LIKELY:
+        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent(p_located)})"
         return f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell: {likeliest}."
-    sure = f"probability that it follows this {percent(shown)}"
+    sure = f"probability that it follows this {percent(p_located)}"
     return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
 
@@ -102,20 +102,20 @@ def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
     What is known in combination alone goes by the first of its members: the vertical index, say, as large as it is at
     the elevations that were used.
     """
-    found: list[tuple[float, str]] = []
+    ranked: list[tuple[float, str]] = []
     for entry in instruments:
-        joined = {name for one in entry.determined for name in one.combination}
-        told = [(p.name, "", p.value, p.sigma, p.unit) for p in entry.parameters if p.name not in joined]
-        for one in entry.determined:
-            name, weight = next(iter(one.combination.items()))
-            sigma = (one.sigma or 0.0) / abs(weight)
-            told.append((name, ", at the angles used,", one.value / weight, sigma, one.unit))
+        joined = {name for combination in entry.determined for name in combination.combination}
+        entries = [(p.name, "", p.value, p.sigma, p.unit) for p in entry.parameters if p.name not in joined]
+        for combination in entry.determined:
+            name, weight = next(iter(combination.combination.items()))
+            sigma = (combination.sigma or 0.0) / abs(weight)
+            entries.append((name, ", at the angles used,", combination.value / weight, sigma, combination.unit))
         of = entry.name or "the instrument"
-        for name, used, value, sigma, unit in told:
+        for name, used, value, sigma, unit in entries:
             plain = f"{name.replace('-', ' ')}{used} of {of}: {with_sigma(value, sigma)} {unit}"
-            found.append((abs(value) / max(sigma, 1e-300), plain))
-    found.sort(key=lambda one: -one[0])
-    return [words for times, words in found if times > CLEAR][:MOST_CONSTANTS]
+            ranked.append((abs(value) / max(sigma, 1e-300), plain))
+    ranked.sort(key=lambda combination: -combination[0])
+    return [words for times, words in ranked if times > CLEAR][:MOST_CONSTANTS]
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

@@ -13,8 +13,8 @@ from ltsim.adjustment.evaluation.criteria import Criteria
 from ltsim.adjustment.fieldcheck.check import Check
 from ltsim.adjustment.remedies.next_measurement import NextMeasurement
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
-from ltsim.calibration.history_file import history_file
 from ltsim.campaigns.judging import Judged
 from ltsim.campaigns.paired import Paired
 from ltsim.campaigns.recovery import Recovery

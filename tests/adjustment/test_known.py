@@ -224,11 +224,11 @@ def test_two_lengths_that_are_right_contradict_nothing() -> None:
 def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
     found = calibrate_network(controlled(5, {"T12": 1.0}, faces=2), advise=False)
     content = calibration_file(found).content()
-    entries = [e for e in content["known"] if e["name"] == "T12"]
+    entries = [e for e in content["reference_values"] if e["name"] == "T12"]
     assert [e["component"] for e in entries] == ["x", "y", "z"]
-    assert all(e["left_out"] and e["unit"] == "mm" for e in entries)
-    assert len(content["known"]) == 3 * len(SIX) + 6
-    others = [e for e in content["known"] if e["kind"] == "point" and not e["left_out"]]
+    assert all(e["excluded"] and e["unit"] == "mm" for e in entries)
+    assert len(content["reference_values"]) == 3 * len(SIX) + 6
+    others = [e for e in content["reference_values"] if e["kind"] == "point" and not e["excluded"]]
     assert all(0.0 < e["redundancy"] < 1.0 and e["minimal_detectable"] > 0.0 for e in others)
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.prior_information import Choice, EarlierCalibrations
 from ltsim.core.arrays import Floats
 from ltsim.physics.model.construction import dh
 from tests.networks import network
@@ -25,7 +25,9 @@ SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
 def wide() -> Choice:
     """Priors so wide that they say next to nothing."""
     covariance = np.diag((WIDER * SIGMA) ** 2)[None]
-    return Choice(prior=Known("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance, np.zeros(BUILT.size)))
+    return Choice(
+        prior=EarlierCalibrations("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance, np.zeros(BUILT.size))
+    )
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,8 @@ from scipy import stats
 from ltsim.adjustment.evaluation.two_face import two_face
 from ltsim.calibration.calibration import Calibration, Fit
 from ltsim.calibration.events import can_tell, events
-from ltsim.calibration.files import write_calibration
+from ltsim.calibration.files import history_file, write_calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.history_file import history_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
@@ -113,7 +112,7 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
     assert np.abs((found.mean - mean) / PRIOR)[told] == pytest.approx(0.0, abs=0.25)
     assert found.spread[told][1::2] / PRIOR[told][1::2] == pytest.approx(0.02, abs=0.1)
     assert found.spread[told][::2] / PRIOR[told][::2] == pytest.approx(0.5, abs=0.25)
-    errors = np.array([history.informed(c).values[0] - truths[40] for c in calibrations[40:]])
+    errors = np.array([history.as_prior_of(c).values[0] - truths[40] for c in calibrations[40:]])
     alone = np.array([c.values[0] - truths[40] for c in calibrations[40:]])
     assert np.sum((errors / PRIOR)[:, told] ** 2) < 0.7 * np.sum((alone / PRIOR)[:, told] ** 2)
 

@@ -12,8 +12,8 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.network import Network
 from ltsim.adjustment.remedies.undetermined import gains, simple_rotation, undetermined
-from ltsim.calibration.conflict import log_odds
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.prior_conflict import log_odds
 from ltsim.core.errors import ModelError
 from ltsim.core.probability import P_CONSTANT, SIZE_PRIOR
 from ltsim.geometry.polar import from_polar, to_polar
@@ -190,8 +190,8 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
             update={"instruments": own, "stations": stations, "gauge": Gauge(distance=tuple(walls))}
         )
         one = calibrate_network(recording.replace(setup=setup), advise=False)
-        assert one.beyond_prior.sum(axis=0)[scale] == 2
-        assert one.beyond_prior.sum() == 2
+        assert one.prior_rejected.sum(axis=0)[scale] == 2
+        assert one.prior_rejected.sum() == 2
         assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
         assert sum("which leaves 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]

@@ -37,7 +37,7 @@ def test_robust_leaves_out_what_does_not_belong_and_says_so(spoiled, tmp_path: P
     found = calibrate_network(spoiled, advise=False, robust=True, noise_from_data=True)
     write_calibration(found, tmp_path)
     content = json.loads((tmp_path / "calibration.json").read_text())
-    left = [(o["row"], o["observable"]) for o in content["outliers"] if o["left_out"]]
+    left = [(o["row"], o["observable"]) for o in content["outliers"] if o["excluded"]]
     assert sorted(left) == [(17, "distance"), (41, "azimuth"), (91, "elevation")]
     sizes = {o["row"]: o["size"] for o in content["outliers"]}
     assert sizes[17] == pytest.approx(0.15, abs=0.05)
@@ -186,7 +186,7 @@ def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     assert plain.verdict is not None
     assert "fails only because 4 readings are out of place" in plain.verdict.sentence
     found = lt.adjust(recording, robust=True, noise_from_data=True)
-    left = {o.row for o in found.outliers if o.left_out}
+    left = {o.row for o in found.outliers if o.excluded}
     assert {42, 199, 361, 362, 348, 363} <= left
     assert 41 not in left
     assert len({n.instrument for n in found.noise if n.observable != "level"}) == 3
@@ -205,4 +205,4 @@ def test_desy_noise_and_the_nest_that_moved(shared: Path) -> None:
     assert noise["azimuth"].typical == pytest.approx(0.41, abs=0.08)
     assert noise["elevation"].typical == pytest.approx(0.56, abs=0.08)
     assert "K6" in found.lost_targets  # its two faces differ by 32 um in range, and nothing else measured it
-    assert {(81, "distance"), (82, "distance")} <= {(o.row, o.observable) for o in found.outliers if o.left_out}
+    assert {(81, "distance"), (82, "distance")} <= {(o.row, o.observable) for o in found.outliers if o.excluded}

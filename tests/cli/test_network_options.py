@@ -36,7 +36,7 @@ def test_robust_and_noise_are_printed_and_written(source: Path, tmp_path: Path, 
     rows = [line.split() for line in text.splitlines()]
     assert [row[0] for row in rows if "yes" in row] == ["21", "151"]  # left out
     content = json.loads((tmp_path / "cal" / "calibration.json").read_text())
-    assert {(o["row"], o["observable"], o["left_out"]) for o in content["outliers"]} == {
+    assert {(o["row"], o["observable"], o["excluded"]) for o in content["outliers"]} == {
         (21, "distance", True),
         (151, "azimuth", True),
     }

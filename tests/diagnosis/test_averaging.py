@@ -7,9 +7,9 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, safe_share, together
-from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, first_order_shift, safe_share
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
+from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.geometry.rigid import less_rigid
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressors import smooth
@@ -42,7 +42,7 @@ def test_a_law_that_does_much_is_taken_off_whole():
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = Case(baseline, baseline.problem.use, 0)
+    case = SelectionState(baseline, baseline.problem.use, 0)
     elevation = RESPONSES["elevation"][0]
     laws = [Law((), (), elevation, smooth(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.sigma)
@@ -51,7 +51,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     basis = points - points.mean(axis=0)
     expected, shift = (
         less_rigid(change.reshape(-1, 1), basis, baseline.problem.free)
-        for change in (fitted.adjustment.state.points - points, together(case.searcher, found))
+        for change in (fitted.adjustment.state.points - points, first_order_shift(case.searcher, found))
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())

@@ -67,7 +67,7 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
     assert first.where.stations == fields.get("stations", ())
     assert first.where.targets == fields.get("targets", ())
     assert first.evidence.p_value == pytest.approx(1 / 301)
-    assert first.evidence.shown >= 0.9 * first.evidence.probability
+    assert first.evidence.p_located >= 0.9 * first.evidence.probability
     factors = [p.factor for p in find_effect(name)(**fields).parameters]
     for estimate, value, factor in zip(first.parameters, truth, factors, strict=False):
         assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate
@@ -90,7 +90,7 @@ def test_physics_outside_the_catalogue_is_called_unknown():
     recording, _ = strengthened(recording, state, change)
     found = diagnose(recording, held_out=True)
     first = found.findings[0]
-    assert (first.effect, first.known) == ("unknown", False)
+    assert (first.effect, first.is_catalogued) == ("unknown", False)
     assert first.where.observables == ("distance",)
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula
@@ -295,7 +295,7 @@ def test_a_clean_recording_is_consistent(faces):
     assert found.findings == ()
     assert "station-levelling" in {u.effect for u in found.undetectable}
     assert "station-bump" in {d.effect for d in found.detectable}
-    assert all(u.hides_um >= 0 and u.cure for u in found.undetectable)
+    assert all(u.undetected_target_error_um >= 0 and u.cure for u in found.undetectable)
 
 
 def test_p_values_of_clean_recordings_are_uniform():

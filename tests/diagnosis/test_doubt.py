@@ -12,14 +12,14 @@ from ltsim.adjustment.identification import identified
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
-from ltsim.diagnosis.adaptation import single_errors
-from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnose import diagnose
+from ltsim.diagnosis.evidence import log_bayes_factor_discrepancy
 from ltsim.diagnosis.findings import Explained
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.outside import log_likeness
+from ltsim.diagnosis.preprocessing import single_errors
+from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment
 from tests.diagnosis.test_diagnose import concealing, workshop
@@ -104,11 +104,13 @@ def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     law = rng.standard_normal(space.size)
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
-    weak, strong = (log_likeness(space, size * law, space.residual, redundancy) for size in (8.0, 400.0))
+    weak, strong = (
+        log_bayes_factor_discrepancy(space, size * law, space.residual, redundancy) for size in (8.0, 400.0)
+    )
     assert -1.0 < weak < 1.0  # as likely as the law itself
     assert strong < -4.0
     wrong = space.residual + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.size - rows))
-    assert log_likeness(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
+    assert log_bayes_factor_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
 
 
 def test_a_name_is_less_certain_than_the_place_that_the_readings_show():
@@ -141,13 +143,13 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     noisy = NoiseHypothesis(
         "noise-level", find_effect("noise-level")(), (0.1, 0.1, 0.1), (0.1, 0.1, 0.1), 9.0, 5.0, 0.4
     )
-    search = Case.weigh
+    search = SelectionState.set_adjustment
 
     def with_noise(case, adjustment):
         search(case, adjustment)
         case.noise = [noisy]
 
-    monkeypatch.setattr(Case, "weigh", with_noise)
+    monkeypatch.setattr(SelectionState, "set_adjustment", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
     monkeypatch.setattr(Explained, "finding", lambda *_: unlikely)
@@ -173,7 +175,7 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
 def test_nothing_without_a_size_is_told_beside_something_else():
     """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
     recording = changed(workshop(2)[0], 40, 0, 15.0)
-    case = Case(adjust(recording, misalignment()), np.ones((len(recording), 3), dtype=bool), 0)
+    case = SelectionState(adjust(recording, misalignment()), np.ones((len(recording), 3), dtype=bool), 0)
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
     found = case.searcher.with_members(members)

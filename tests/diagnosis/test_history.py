@@ -14,17 +14,15 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import write_calibration
+from ltsim.calibration.files import history_file, write_calibration
 from ltsim.calibration.history import History as Course
-from ltsim.calibration.history_file import history_file
-from ltsim.calibration.known import Known
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import LEAST_GAIN
-from ltsim.diagnosis.history import HistoryExpectation
-from ltsim.diagnosis.instruments import Contradiction
+from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings import write
 from ltsim.recordings.result_file import write_result
@@ -66,11 +64,11 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     days[-1, constant] += blow * GUARANTEE[constant]
     values = [estimated(faces, day, rng) for day in days]
     before = [(f"day {k}", replace(calibration, values=v[None])) for k, v in enumerate(values[:-1])]
-    known = Known.of(Course.of(before)) if count > 1 else Known.of(before[0][1])
+    known = EarlierCalibrations.of(Course.of(before)) if count > 1 else EarlierCalibrations.of(before[0][1])
     return against(known, adjustment, values[-1])
 
 
-def against(known: Known, adjustment: Adjustment, values: Floats) -> list[Contradiction]:
+def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) -> list[Contradiction]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument=values[None])
     covariance, recording = adjustment.constants_covariance, adjustment.recording
@@ -107,7 +105,7 @@ def test_two_constants_that_changed_are_told_apart() -> None:
     calibration, adjustment = measured(2)
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), stream(3, "a"))
     today[BUILT.names.index("beam-tilt")] -= GUARANTEE[BUILT.names.index("beam-tilt")]
-    known = Known.of(replace(calibration, values=np.zeros((1, len(GUARANTEE)))))
+    known = EarlierCalibrations.of(replace(calibration, values=np.zeros((1, len(GUARANTEE)))))
     sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 

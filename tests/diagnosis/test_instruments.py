@@ -99,7 +99,7 @@ def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
 
 
 def test_constants_that_are_clear_are_named_as_a_person_would():
-    """What one face shows of the index is as large as the index and the circle are together."""
+    """What one face shows of the index is as large as the index and the circle are first_order_shift."""
     built = misalignment()
     values = drawn(built, 2)
     values[built.names.index("vertical-index")] = 60e-6

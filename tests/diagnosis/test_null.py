@@ -29,7 +29,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
-    monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", most)
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
     space = ResidualSpace.of(adjust(network(seed=2, stations=3)[0], misalignment()))
     chances = []
     for seed in range(SEEDS):

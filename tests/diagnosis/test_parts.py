@@ -13,10 +13,10 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.next_measurement import DECISIVE
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import shown_in
+from ltsim.diagnosis.detectability import separating_measurement
+from ltsim.diagnosis.evidence import active_observables
 from ltsim.diagnosis.findings import Explained
 from ltsim.diagnosis.schema import Where
-from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import misalignment
@@ -28,10 +28,10 @@ from tests.networks import network, with_effect
 def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_shows() -> None:
     use = np.array([[True, True, False], [True, True, True]])
     everywhere = np.ones(5)
-    assert shown_in(use, everywhere, np.array([3.0, 0.9, 0.0, 0.0, 0.0])) == ("distance",)
-    assert shown_in(use, everywhere, np.array([3.0, 1.1, 0.0, 0.0, 0.0])) == ("distance", "azimuth")
-    assert shown_in(use, everywhere, everywhere) == ()
-    assert shown_in(use, np.array([1.0, 0.0, 1.0, 0.0, 1.0]), everywhere) == ("distance", "elevation")
+    assert active_observables(use, everywhere, np.array([3.0, 0.9, 0.0, 0.0, 0.0])) == ("distance",)
+    assert active_observables(use, everywhere, np.array([3.0, 1.1, 0.0, 0.0, 0.0])) == ("distance", "azimuth")
+    assert active_observables(use, everywhere, everywhere) == ()
+    assert active_observables(use, np.array([1.0, 0.0, 1.0, 0.0, 1.0]), everywhere) == ("distance", "elevation")
 
 
 # --- separate ---------------------------------------------------------------------------------------------------------
@@ -87,10 +87,10 @@ class Set:
 
     members: tuple[str, ...]
     chances: dict[str, float]
-    besides: bool
+    has_test_findings: bool
 
     @property
-    def found(self) -> SimpleNamespace:
+    def model(self) -> SimpleNamespace:
         return SimpleNamespace(members=[SimpleNamespace(key=name) for name in self.members])
 
     @property
@@ -102,7 +102,7 @@ class Set:
 
 
 def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() -> None:
-    untold = Explained.untold.func
-    assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, besides=True)) == ("b", "c")
-    assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, besides=False)) == ("b",)
-    assert untold(Set(("b",), {"b": 0.1}, besides=False)) == ()
+    untold = Explained.withheld.func
+    assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=True)) == ("b", "c")
+    assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
+    assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()

@@ -9,13 +9,13 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.cards import Cards, card_hypotheses
+from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
-from ltsim.diagnosis.exact import Exact
-from ltsim.diagnosis.hypotheses import MISFIT, Found, Hypothesis, Ranking
+from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
+from ltsim.diagnosis.hypotheses import MISFIT, Hypothesis, Model, Ranking
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR, log_share, rows
-from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.space import panels
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import Tunable
@@ -35,7 +35,7 @@ def space() -> ResidualSpace:
 @pytest.fixture(scope="module")
 def made(space):
     """All panels, scored once."""
-    probe = Probe.of(space, 0, 300)
+    probe = NullEnsemble.of(space, 0, 300)
     found = panels(space)
     return probe, found, [panel.score(probe) for panel in found]
 
@@ -61,7 +61,7 @@ def test_priors_sum_to_one_over_everything(space, made):
     assert np.exp(LOG_WEIGHTS).sum() == pytest.approx(1.0)
     _, found, _ = made
     laws = sum(np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.spreads) for d in p.drivers) for p in found)
-    cards = Cards.of(space, card_hypotheses(space.sightings))
+    cards = CatalogueSignatures.of(space, catalogue_hypotheses(space.sightings))
     families = cards.family_evidence(np.zeros(len(cards.effects))) + log_share("named", len(cards.families))
     noise = NoiseBank.of(space, noise_hypotheses(space.sightings))
     nothing = np.append(
@@ -85,7 +85,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     signatures = [space.signature(e) for e in effects]
     left = [space.project(g) for g in signatures]
     whole = space.residual + 9e-6 * left[0][:, 0]
-    found = Found(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in signatures), whole)
+    found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in signatures), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
     for one, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
@@ -96,7 +96,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
     assert found.score == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
-    single = Found(tuple(members[:1]), tuple(left[:1]), found.norms[:1], whole)
+    single = Model(tuple(members[:1]), tuple(left[:1]), found.norms[:1], whole)
     alone_ = evidence_with(left[0].T @ left[0], left[0].T @ whole, sizes[0])
     assert single.score == pytest.approx(float(alone_) - 3.0, abs=1e-6)
 
@@ -121,7 +121,7 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     residual = space.residual + 20.0 * left[:, 0]
     gains = []
     for extension in (np.zeros((space.size, 0)), left):
-        beside = probe.beside(residual - extension @ (extension.T @ residual), extension)
+        beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
         hits = [h for panel in found for h in panel.score(beside)[0] if not (h.place.stations or h.place.targets)]
         same = (h for h in hits if (h.carrier.name, h.driver) == (law.carrier.name, law.driver))
         gains.append(max((h.value - h.log_prior for h in same), default=-np.inf))
@@ -137,10 +137,10 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     signature = space.signature(found)
     left = space.project(signature)
     member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = Found((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residual)
-    exact = Exact(space)
+    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residual)
+    exact = EvidenceCalculator(space)
     for _ in range(2):
-        values = [alone(space, effect, base.residual, base.extension) for effect in effects]
+        values = [alone(space, effect, base.residual, base.basis) for effect in effects]
         np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
     np.testing.assert_allclose(exact.signature(local[0]), space.signature(local[0]))
 
@@ -152,15 +152,15 @@ def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
 
 
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
-    monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", 0)
-    probe = Probe.of(space, 0, 0)
-    assert probe.sampled
+    monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", 0)
+    probe = NullEnsemble.of(space, 0, 0)
+    assert probe.gram_is_monte_carlo
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
-    sampled = Cards.of(space, effects)
+    sampled = CatalogueSignatures.of(space, effects)
     sampled.score(probe)
     monkeypatch.undo()
-    exact = Cards.of(space, effects)
-    exact.score(Probe.of(space, 0, 0))
+    exact = CatalogueSignatures.of(space, effects)
+    exact.score(NullEnsemble.of(space, 0, 0))
     for one, other in zip(sampled.groups, exact.groups, strict=True):
         np.testing.assert_allclose(one.gram, other.gram, rtol=0.4)
 
@@ -171,13 +171,13 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
     signature = space.signature(member.effect)
     left = space.project(signature)
-    base = Found((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residual)
+    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residual)
     values = []
     for most in (0, 500):
-        monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", most)
-        probe, cards = Probe.of(space, 0, 0), Cards.of(space, steps)
+        monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
+        probe, cards = NullEnsemble.of(space, 0, 0), CatalogueSignatures.of(space, steps)
         cards.score(probe)
-        values.append(cards.score(probe.beside(base.residual, base.extension))[0])
+        values.append(cards.score(probe.with_model(base.residual, base.basis))[0])
     sampled, exact = values
     assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
 
@@ -218,6 +218,6 @@ def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]
-    found = [Found((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
+    found = [Model((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
     assert found[0].misfit == pytest.approx(0.5 * MISFIT * whole @ whole)
     assert found[1].misfit == 0.0

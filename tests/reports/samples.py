@@ -15,9 +15,8 @@ from pyarrow import parquet as pq
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.remedies.next_measurement import next_measurement
 from ltsim.calibration.calibration import Calibration, residuals_table
-from ltsim.calibration.files import write_calibration
+from ltsim.calibration.files import history_file, write_calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.history_file import history_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment

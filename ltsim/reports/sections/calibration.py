@@ -74,7 +74,7 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     first = _parameters(content, truth_of(context)) if content.parameters else product
     fits = _reference_values(content)
-    ahead = fits if any(entry.left_out for entry in content.known) else []
+    ahead = fits if any(entry.excluded for entry in content.reference_values) else []
     blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
     shown = len(blocks) + 1
     if targets is not None and content.stations:
@@ -98,7 +98,7 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
         title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
         answer=_answer(content, words, targets),
-        mood=mood(agrees and converged and all(outlier.left_out for outlier in content.outliers)),
+        mood=mood(agrees and converged and all(outlier.excluded for outlier in content.outliers)),
         facts=_facts(content, agrees=agrees),
         blocks=blocks,
         actions=_actions(content),
@@ -126,7 +126,7 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
             f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
         )
     if content.outliers:
-        rejected = sum(outlier.left_out for outlier in content.outliers)
+        rejected = sum(outlier.excluded for outlier in content.outliers)
         begin += f"; {count(len(content.outliers), 'reading')} did not fit"
         were = "was" if rejected == 1 else "were"
         begin += (
@@ -175,15 +175,15 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
 
 def _reference_values(content: CalibrationFile) -> list[Grid]:
     note = "Residual: stated minus adjusted value; error: estimate from all other observations, +- one sigma."
-    shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
+    shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "left_out", note=note)
+    return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
 
 
 def _actions(content: CalibrationFile) -> list[str]:
     """Next actions, the most urgent first."""
     actions = []
-    remaining = [o for o in content.outliers if not o.left_out]
+    remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option('robust=True')}: {which}.")

@@ -105,7 +105,7 @@ def _actions(content: DiagnosisFile) -> list[str]:
         place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
         follows = f" with {listing(where.covariates)}" if where.covariates else ""
         unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
-        cause = f"the cause of {finding.effect}" if finding.known else unnamed
+        cause = f"the cause of {finding.effect}" if finding.is_catalogued else unnamed
         todo = f"Exchange the names {listing(where.targets)} at" if _swapped(finding) else f"Look for {cause}"
         place = listing(where.stations) if _swapped(finding) else f"({place})"
         actions.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
@@ -151,7 +151,7 @@ def _finding(
     finding: Finding, number_: int, answer: str, pair: Pair | None, residuals: tuple[Residuals | None, Residuals | None]
 ) -> list[Block]:
     """Blocks of a finding: its sentence unless it is in the answer, figure, place, and table of values."""
-    name = finding.effect if finding.known else "effect outside the catalogue"
+    name = finding.effect if finding.is_catalogued else "effect outside the catalogue"
     words = finding.sentence or f"{name} {_place(finding.where)}"
     cure = f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
@@ -247,9 +247,18 @@ def _fit(content: DiagnosisFile) -> list[Block]:
 
 def _hidden(content: DiagnosisFile) -> list[Block]:
     """Table of undetectable effects that cause relevant errors, the largest first."""
-    relevant = [u for u in content.undetectable if u.hides_um and u.hides_um >= LEAST_UM]
-    worst = sorted(relevant, key=lambda u: -(u.hides_um or 0.0))
-    rows = [[u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never"] for u in worst]
+    relevant = [
+        u for u in content.undetectable if u.undetected_target_error_um and u.undetected_target_error_um >= LEAST_UM
+    ]
+    worst = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
+    rows = [
+        [
+            u.effect,
+            number(u.undetected_target_error_um, 2),
+            number(u.detectable_at_factor, 2) if u.detectable_at_factor else "never",
+        ]
+        for u in worst
+    ]
     header = ["effect", "undetected target error [um]", "detectable at times that size"]
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."

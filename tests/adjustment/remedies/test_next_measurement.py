@@ -21,8 +21,8 @@ from ltsim.adjustment.remedies.remedy import (
 )
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
+from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.separate import open_question
 from ltsim.physics.model.construction import ideal, misalignment
 from ltsim.planning.objective import d_criterion
 from ltsim.recordings import Recording, write

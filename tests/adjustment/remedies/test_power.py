@@ -16,7 +16,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnosis.probe import TRIALS, Probe
+from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect
@@ -59,10 +59,10 @@ class Search:
         """Share of recordings with it whose search is above the threshold."""
         white = stream(11, "power").standard_normal((self.space.size, trials))
         residual = self.space.project(white) + shift[:, None]
-        usual = Probe.of
+        usual = NullEnsemble.of
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
             patch.setattr(
-                Probe,
+                NullEnsemble,
                 "of",
                 staticmethod(lambda *given, **how: replace(usual(*given, **how), trials=residual.astype(np.float32))),
             )

@@ -1,7 +1,7 @@
-"""Exact moments and evidence of effects beside a set of findings: of many effects in one go.
+"""Moments and evidence of effects given a model, without approximation, for many effects at a time.
 
 Residuals and the columns of a set lie in the residual space: a projection is needed for a signature's products with
-itself alone, and these are the same beside every set.
+itself alone, and these are the same for every model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_of, evidence_with
-from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.responses import RESPONSES
@@ -21,9 +21,9 @@ from ltsim.physics.laws.responses import RESPONSES
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
 MOST_STEPS = 6
-"""Steps uphill at most."""
+"""Largest number of steps of the local search."""
 AT_ONCE = 3_000_000
-"""Numbers of signatures that are held at once: memory of some tens of MB."""
+"""Numbers of signatures in memory at a time: some tens of MB."""
 
 
 class Rows(NamedTuple):
@@ -33,7 +33,7 @@ class Rows(NamedTuple):
     pointing: Ints
 
 
-class Exact:
+class EvidenceCalculator:
     """Moments and evidence of effects in one residual space."""
 
     def __init__(self, space: ResidualSpace) -> None:
@@ -43,52 +43,52 @@ class Exact:
         self._carried: dict[str, Floats] = {}
         self._rows: dict[Place, Rows] = {}
 
-    def moments(self, effects: Sequence[Tunable], base: Found) -> list[tuple[Floats, Floats]]:
-        """Gram matrix (k, k) and score (k,) of what adjustment and a set leave of the signature of each effect."""
-        found: dict[int, tuple[Floats, Floats]] = {}
-        for rows, some in self._batches(effects):
-            chosen = [effects[i] for i in some]
+    def moments(self, effects: Sequence[Tunable], base: Model) -> list[tuple[Floats, Floats]]:
+        """Gram matrix (k, k) and score (k,) of each effect's signature, projected off the adjustment and a model."""
+        moments: dict[int, tuple[Floats, Floats]] = {}
+        for rows, members in self._batches(effects):
+            chosen = [effects[i] for i in members]
             signatures, edges = self._signatures(chosen, rows)
             self._project(chosen, signatures, edges, rows)
-            beside, score = base.extension[rows.place].T @ signatures, base.residual[rows.place] @ signatures
-            for i, low, high in zip(some, edges[:-1], edges[1:], strict=True):
-                part = beside[:, low:high]
-                found[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
-        return [found[i] for i in range(len(effects))]
+            overlap, score = base.basis[rows.place].T @ signatures, base.residual[rows.place] @ signatures
+            for i, low, high in zip(members, edges[:-1], edges[1:], strict=True):
+                part = overlap[:, low:high]
+                moments[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
+        return [moments[i] for i in range(len(effects))]
 
-    def evidence(self, effects: Sequence[Tunable], base: Found) -> Floats:
-        """Log marginal likelihood ratio of each effect beside a set, sizes averaged."""
+    def evidence(self, effects: Sequence[Tunable], base: Model) -> Floats:
+        """Log marginal likelihood ratio of each effect given a model, averaged over sizes."""
         values = np.zeros(len(effects))
-        alike: dict[int, list[int]] = {}
+        by_size: dict[int, list[int]] = {}
         moments = self.moments(effects, base)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
             if any(p.positive for p in effect.parameters):
                 values[i] = evidence_of(effect, gram, score)
             else:
-                alike.setdefault(len(score), []).append(i)
-        for some in alike.values():
-            spreads = np.stack([effects[i].spread for i in some])
-            grams, scores = (np.stack([moments[i][j] for i in some]) for j in (0, 1))
-            values[some] = evidence_with(grams, scores, spreads)
+                by_size.setdefault(len(score), []).append(i)
+        for members in by_size.values():
+            spreads = np.stack([effects[i].spread for i in members])
+            grams, scores = (np.stack([moments[i][j] for i in members]) for j in (0, 1))
+            values[members] = evidence_with(grams, scores, spreads)
         return values
 
-    def uphill(self, effects: Sequence[T], base: Found) -> list[tuple[T, float]]:
-        """Uphill from each effect over what it offers near itself; its evidence is the mean over where it ends."""
+    def refine_locally(self, effects: Sequence[T], base: Model) -> list[tuple[T, float]]:
+        """Local search from each effect over its neighbours; the evidence is the mean over the last neighbourhood."""
         best, values = list(effects), self.evidence(effects, base)
         means, moving = values.copy(), list(range(len(best)))
         for _ in range(MOST_STEPS):
-            near = {i: some for i in moving if (some := best[i].finer(self.space.sightings))}
+            candidates = {i: neighbours for i in moving if (neighbours := best[i].finer(self.space.sightings))}
             means[moving] = values[moving]
-            if not near:
+            if not candidates:
                 break
-            logs = self.evidence([one for some in near.values() for one in some], base)
-            edges = np.cumsum([len(some) for some in near.values()])[:-1]
+            logs = self.evidence([neighbour for neighbours in candidates.values() for neighbour in neighbours], base)
+            edges = np.cumsum([len(neighbours) for neighbours in candidates.values()])[:-1]
             moving = []
-            for (i, some), found in zip(near.items(), np.split(logs, edges), strict=True):
-                means[i] = log_sum_exp(np.append(found, values[i])) - np.log(len(found) + 1)
-                top = best_of(found)
-                if found[top] > values[i] + TIE:
-                    best[i], values[i] = some[top], found[top]
+            for (i, neighbours), parts in zip(candidates.items(), np.split(logs, edges), strict=True):
+                means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
+                top = best_of(parts)
+                if parts[top] > values[i] + TIE:
+                    best[i], values[i] = neighbours[top], parts[top]
                     moving.append(i)
         return list(zip(best, means.tolist(), strict=True))
 
@@ -101,11 +101,11 @@ class Exact:
 
     def _batches(self, effects: Sequence[Tunable]) -> Iterator[tuple[Rows, list[int]]]:
         """Effects that act on the same rows, as many at a time as may be held at once."""
-        alike: dict[int, tuple[Rows, list[int]]] = {}
+        by_rows: dict[int, tuple[Rows, list[int]]] = {}
         for i, effect in enumerate(effects):
             rows = self._rows_of(effect)
-            alike.setdefault(id(rows), (rows, []))[1].append(i)
-        for rows, members in alike.values():
+            by_rows.setdefault(id(rows), (rows, []))[1].append(i)
+        for rows, members in by_rows.values():
             ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing)
             parts = np.split(members, np.flatnonzero(np.diff(ends // AT_ONCE)) + 1)
             yield from ((rows, part.tolist()) for part in parts)
@@ -128,7 +128,7 @@ class Exact:
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], Law):
             return np.hstack([self.space.signature(effect) for effect in effects]), edges
-        found = np.empty((len(rows.pointing), edges[-1]))
+        signatures = np.empty((len(rows.pointing), edges[-1]))
         carried: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, Law)
@@ -136,9 +136,9 @@ class Exact:
             if name not in carried:
                 carried[name] = self._moved(name)[rows.place]
             columns = effect.columns(self.space.sightings)[rows.pointing]
-            shape = len(found), carried[name].shape[1], columns.shape[1]
-            np.multiply(carried[name][:, :, None], columns[:, None, :], out=found[:, low:high].reshape(shape))
-        return found, edges
+            shape = len(signatures), carried[name].shape[1], columns.shape[1]
+            np.multiply(carried[name][:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
+        return signatures, edges
 
     def _moved(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings by each component of a carrier, computed once."""
@@ -147,7 +147,7 @@ class Exact:
         return self._carried[name]
 
     def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:
-        """Gram matrices of what the adjustment leaves of signatures, where they are not known yet."""
+        """Cache of the Gram matrices of projected signatures, filled for new effects."""
         new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new:
             return
@@ -155,5 +155,5 @@ class Exact:
         if len(new) < len(effects):
             columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
         ends = np.append(0, np.cumsum(np.diff(edges)[new]))
-        left = self.space.projection.grams(columns, ends, rows.place)
-        self._grams.update(zip((effects[i] for i in new), left, strict=True))
+        grams = self.space.projection.grams(columns, ends, rows.place)
+        self._grams.update(zip((effects[i] for i in new), grams, strict=True))

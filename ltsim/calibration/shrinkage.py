@@ -1,17 +1,16 @@
-"""Correction that is worth applying of a calibration: none that is expected to make new points worse.
+"""Shrinkage of the correction: the values to apply to readings, so that new points are not expected to become worse.
 
-The estimates and their covariance are those of the stated prior. What is taken out of readings may be less:
+The estimates and their covariance are those of the declared prior. The applied values may be smaller:
 
 * a term that predicts targets worse than going without it, when they take no part in its estimation (`HeldOutTarget`);
 * where the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
-* where some scale that they leave plausible expects the correction to do harm, the correction of the smallest plausible
-  scale, which none of them expects to.
+* where the correction is expected to do harm under a plausible scale, the correction of the smallest plausible scale.
 
 With u the parameters in prior sigmas, N the information of the readings and b = N times the estimate by them alone,
-b is normal with covariance N + s^2 N N under a prior of s times the stated sigmas: its likelihood, free of poses and
+b is normal with covariance N + s^2 N N under a prior of s times the declared sigmas: its likelihood, free of poses and
 targets, is the restricted likelihood of s (Patterson and Thompson, Biometrika 58 (1971) 545). A prior from earlier
-calibrations has a mean; u is then the deviation from it. Without a prior the scale is all found: a combination of the
-parameters is then applied by the share, between 0 and 1, by which it is expected to improve new points most.
+calibrations has a mean; u is then the deviation from it. Without a prior the scale is
+estimated in any case, and each combination of the parameters is shrunk by the factor that minimises the expected error.
 """
 
 from collections.abc import Sequence
@@ -23,8 +22,8 @@ from scipy.linalg import block_diag
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.undetermined import SILENT
 from ltsim.calibration.calibration import Correction
-from ltsim.calibration.conflict import UNEXPLAINED, rest_of
 from ltsim.calibration.evidence import cosine_and_sine
+from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.rigid import less_rigid
@@ -33,67 +32,71 @@ from ltsim.solve.design import as_dense
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
 CONTRADICTS = 3.32
-"""Log-likelihood over that of the stated scale (1) that chance exceeds in one of a hundred correct priors."""
+"""The declared scale (1) is rejected if the maximum log-likelihood exceeds its own by more than this: likelihood ratio
+test at 1 %, half the 99 % point of chi-square with one degree of freedom."""
 PLAUSIBLE = 1.35
-"""Log-likelihood under the largest, within which a scale is plausible: 95 %, one-sided."""
+"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided 95 %, half the 90 % point of
+chi-square with one degree of freedom."""
 UNLIKELY = 30.0
-"""Scale beyond which what the readings show is none of these parameters: no instrument is so far off in all of them."""
+"""Prior scale above which the misfit is attributed to something other than the instrument parameters: no instrument
+exceeds its guarantee so far in all of them."""
 NOTHING = 0.02
-"""Share of the estimated correction below which it counts as none."""
+"""No correction is applied if the shrunk one is below this share of the estimate (rms effect on a point)."""
 WORSE = 2.0
-"""Sum of squares over the targets held out by which a term has to be worse: what Akaike's criterion asks of one."""
+"""A term is not applied if leaving it out lowers the held-out sum of squares by more than this: Akaike's penalty of one
+parameter, 2 in units of chi-square."""
 LARGEST = 400
-"""Most unknown poses and parameters of a network that is tested."""
+"""Held-out targets are tested in networks of at most this many poses and parameters (cost: a dense inverse)."""
 MOST_TARGETS = 150
 FEWEST = 5
-"""Targets that predict each other."""
+"""Held-out targets are tested if there are at least this many that predict each other."""
 
 
 def correction_of(
-    adjustment: Adjustment, names: Sequence[str], *, informed: bool = False, wider: float | None = None
+    adjustment: Adjustment, names: Sequence[str], *, history_prior: bool = False, wider: float | None = None
 ) -> tuple[Correction, Floats]:
     """The correction that an adjustment's parameters are worth, and its values (I, p) [SI]; `names` (I p) of them.
 
-    Priors that were made so many times `wider` than stated stand for none: the scale is found in any case. With a
-    prior from earlier calibrations (`informed`) no term is left out, since this recording's targets are not all
-    that speaks for it, and the prior's scale may be found larger than stated but not smaller.
+    A prior widened by the factor `wider` stands for none: its scale is then estimated in any case. With a prior from
+    earlier calibrations (`history_prior`) all terms are applied, since more than this recording's targets supports
+    them, and the estimated scale is 1 at least.
     """
     prior = adjustment.problem.prior
     held, mean = prior.held.ravel(), prior.mean.ravel()
     free = np.flatnonzero(~held)
-    gone = np.zeros(0, dtype=np.int64) if informed else unheld(adjustment)
+    gone = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment)
     used = np.setdiff1d(free, gone)
     root = block_diag(*prior.roots)[np.ix_(free, free)]
     at = adjustment.problem.unknowns.instrument.ravel()[free]
-    known = np.linalg.inv(root @ adjustment.kept_covariance[np.ix_(at, at)] @ root.T)
-    heard = known @ root @ (adjustment.state.instrument.ravel() - mean)[free]
+    precision = np.linalg.inv(root @ adjustment.kept_covariance[np.ix_(at, at)] @ root.T)
+    vector = precision @ root @ (adjustment.state.instrument.ravel() - mean)[free]
     within = np.searchsorted(free, used)
     unit = wider or 1.0
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
-    information = (known[np.ix_(within, within)] - np.eye(len(used))) / unit**2
-    least, unstated = (1.0 if informed else 0.0), wider is not None
-    rest = rest_of(adjustment)
-    evidence = ScaledPrior(information, heard[within] / unit, least=least, unstated=unstated, rest=rest)
+    information = (precision[np.ix_(within, within)] - np.eye(len(used))) / unit**2
+    least, is_free = (1.0 if history_prior else 0.0), wider is not None
+    rest = sigma0_of_readings(adjustment)
+    evidence = ScaledPrior(information, vector[within] / unit, least=least, is_free=is_free, rest=rest)
     by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
-    applied, note = evidence.harmless(by_unit, middle)
+    applied, note = evidence.shrunk_correction(by_unit, middle)
     before, after = evidence.errors(by_unit, applied, middle)
-    left_out = tuple(names[k] for k in gone)
+    not_applied = tuple(names[k] for k in gone)
     notes = [n for n in (evidence.doubt, note) if n]
-    if left_out:
-        notes.append(f"not applied, targets that were held out are predicted better without: {', '.join(left_out)}")
+    if not_applied:
+        notes.append(f"not applied, as held-out targets are predicted better without them: {', '.join(not_applied)}")
     values = mean * held
     values[used] = spread @ applied
-    told = Correction(
+    correction = Correction(
         prior_scale=evidence.scale,
         plausible_scale=evidence.plausible,
         uncorrected_um=before / MICROMETRE,
         corrected_um=after / MICROMETRE,
         noise_um=reading_noise(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
-        left_out=left_out,
+        not_applied=not_applied,
         sentences=tuple(notes),
     )
-    return told, values.reshape(prior.mean.shape)
+    return correction, values.reshape(prior.mean.shape)
 
 
 class ScaledPrior:
@@ -102,26 +105,32 @@ class ScaledPrior:
     Parameters
     ----------
     information : (q, q) float
-    told : (q,) float
+    information_vector : (q,) float
         Information times the estimate by the readings alone.
     least : float
         Smallest scale that the prior may have.
-    unstated : bool
-        The scale 1 is not a statement but a unit.
+    is_free : bool
+        True if the scale is estimated in any case: 1 is then only its unit.
     rest : float
-        What is left of the readings in their noise: where it is `UNEXPLAINED`, no scale beyond the stated is believed.
+        sigma0 of the readings; from `UNEXPLAINED` on no scale above 1 is accepted.
     """
 
     def __init__(
-        self, information: Floats, told: Floats, *, least: float = 0.0, unstated: bool = False, rest: float = 1.0
+        self,
+        information: Floats,
+        information_vector: Floats,
+        *,
+        least: float = 0.0,
+        is_free: bool = False,
+        rest: float = 1.0,
     ) -> None:
-        self._unstated, self._rest = unstated, rest
+        self._is_free, self._rest = is_free, rest
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * max(float(strength[-1]), 1.0))
-        self._told = self._basis.T @ told
+        self._information_vector = self._basis.T @ information_vector
         self._scales = SCALES[0.99 * least < SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
-        gain = self._scales[:, None] ** 2 * self._told**2 / ratio
+        gain = self._scales[:, None] ** 2 * self._information_vector**2 / ratio
         self._likelihood = 0.5 * np.sum(gain - np.log(ratio), axis=1)
         self._best = int(np.argmax(self._likelihood))
 
@@ -138,24 +147,24 @@ class ScaledPrior:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the readings contradict the stated scale."""
-        stated = int(np.argmin(np.abs(np.log(self._scales))))
-        return bool(self._likelihood[self._best] - self._likelihood[stated] > CONTRADICTS)
+        """True if the readings reject the declared scale."""
+        nominal = int(np.argmin(np.abs(np.log(self._scales))))
+        return bool(self._likelihood[self._best] - self._likelihood[nominal] > CONTRADICTS)
 
     @property
     def _is_something_else(self) -> bool:
         most = UNLIKELY if self._rest < UNEXPLAINED else 1.0
-        return self.contradicts and not self._unstated and self.scale > most
+        return self.contradicts and not self._is_free and self.scale > most
 
     @property
     def followed(self) -> float:
-        """The scale to follow: the stated one unless the readings contradict it."""
-        return self.scale if (self.contradicts and not self._is_something_else) or self._unstated else 1.0
+        """Scale of the applied values: 1 unless the readings reject it."""
+        return self.scale if (self.contradicts and not self._is_something_else) or self._is_free else 1.0
 
     @property
     def doubt(self) -> str:
-        """A sentence where the readings contradict the stated scale, or none was stated."""
-        if not (self.contradicts or self._unstated):
+        """Sentence on a rejected or estimated scale; empty without either."""
+        if not (self.contradicts or self._is_free):
             return ""
         low, high = self.plausible
         likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
@@ -163,37 +172,37 @@ class ScaledPrior:
             contradict = f" and contradict each other by {self._rest:.2g} times their noise"
             why = ", as no instrument has them" if self.scale > UNLIKELY else contradict
             return (
-                f"the readings ask for parameters {self.scale:.2g} times the stated priors{why}: "
-                "something else bends them, and no correction is applied"
+                f"the readings require parameters {self.scale:.2g} times the declared priors{why}: "
+                "something else causes the misfit, and no correction is applied"
             )
-        if not self._unstated:
-            return f"the readings contradict the stated priors: {likely}; what is applied follows the readings"
+        if not self._is_free:
+            return f"the readings contradict the declared priors: {likely}; the correction uses this scale"
         share = self._strength / (self._strength + self.scale**-2)
-        kept = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
-        return f"without a prior, parameters of the usual proportions and {likely}; {kept}, the others tell too little"
+        applied = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
+        return f"without a prior, parameters of the usual proportions and {likely}; {applied}, the others hardly"
 
     def estimate(self, scale: float) -> Floats:
         """The estimate (q,) under a scale."""
-        return self._basis @ (self._told / (self._strength + scale**-2))
+        return self._basis @ (self._information_vector / (self._strength + scale**-2))
 
-    def harmless(self, by_unit: Floats, middle: Floats | float = 0.0) -> tuple[Floats, str]:
-        """The correction (q,) that no plausible scale expects to do harm, and a sentence where it is less.
+    def shrunk_correction(self, by_unit: Floats, middle: Floats | float = 0.0) -> tuple[Floats, str]:
+        """Correction (q,) that is not expected to do harm under any plausible scale, and a sentence where it is shrunk.
 
         `by_unit` (q, q) is the mean square of a new point's error as a form of the parameters' errors, `middle` (q,)
         the prior's mean.
         """
         if self._is_something_else:
-            return np.zeros(len(self._told)), ""
-        found, cautious = middle + self.estimate(self.followed), middle + self.estimate(self.plausible[0])
-        if found @ by_unit @ (found - 2.0 * cautious) <= 0.0:
-            return found, ""
-        share = float(np.sqrt((cautious @ by_unit @ cautious) / (found @ by_unit @ found)))
+            return np.zeros(len(self._information_vector)), ""
+        full, cautious = middle + self.estimate(self.followed), middle + self.estimate(self.plausible[0])
+        if full @ by_unit @ (full - 2.0 * cautious) <= 0.0:
+            return full, ""
+        share = float(np.sqrt((cautious @ by_unit @ cautious) / (full @ by_unit @ full)))
         if share < NOTHING:
-            return np.zeros_like(found), "no correction is applied: it may well make new points worse"
+            return np.zeros_like(full), "no correction is applied: it may well make new points worse"
         return cautious, f"{100 * share:.0f} % of the correction is applied: more may well make new points worse"
 
     def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
-        """Expected error (rms) [m] of a new point by the constants, without a correction and with what is applied."""
+        """Expected error (rms) [m] of a new point by the constants, without a correction and with the applied one."""
         scale = self.followed
         mean = middle + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
@@ -215,8 +224,8 @@ def reading_noise(recording: Recording, sigma: Floats) -> float:
 def point_errors(adjustment: Adjustment) -> Floats:
     """Mean square error of a point as a form (I p, I p) of the parameters' errors [m^2 / SI^2].
 
-    Over the pointings of each set-up, in the frame of the instrument; what a motion of the whole set-up would make
-    as well is left aside, since no calibration is needed against it.
+    Over the pointings of each set-up, in the frame of the instrument; the part that a rigid motion
+    of the set-up explains is removed, since it needs no calibration.
     """
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument.shape
@@ -230,8 +239,8 @@ def point_errors(adjustment: Adjustment) -> Floats:
         readings, values = recording.readings[rows], state.instrument[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
         error = less_rigid(by_value.reshape(-1, size), points)
-        own = slice(instrument * size, (instrument + 1) * size)
-        total[own, own] += error.T @ error
+        block = slice(instrument * size, (instrument + 1) * size)
+        total[block, block] += error.T @ error
     return total / max(int(whole.sum()), 1)
 
 
@@ -259,15 +268,14 @@ class HeldOutTarget:
         if not len(fixed):
             return float(self.residual @ self.residual)
         moved = np.linalg.solve(self.covariance[np.ix_(fixed, fixed)], self.shift[fixed] - values[fixed])
-        left = self.residual - self.by_parameter[:, fixed] @ moved
-        return float(left @ left)
+        residual = self.residual - self.by_parameter[:, fixed] @ moved
+        return float(residual @ residual)
 
 
-def unheld(adjustment: Adjustment) -> Ints:
-    """Places, in the flat vector of parameters (I p), of those that targets are better predicted without.
+def terms_to_drop(adjustment: Adjustment) -> Ints:
+    """Indices, in the flat vector of parameters (I p), of terms without which held-out targets are predicted better.
 
-    The term that is worst is taken away first, then the next, as long as that helps. None in a network that is large
-    or has few targets.
+    Backward elimination, the worst term first. Empty in a large network or one with few targets.
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns
@@ -291,10 +299,10 @@ def unheld(adjustment: Adjustment) -> Ints:
 
 
 def _terms(adjustment: Adjustment) -> list[Ints]:
-    """Places of each term: a cosine and its sine, or a parameter; of what was estimated and the readings tell of."""
+    """Indices of each term, a cosine with its sine or a single parameter, that was estimated and has information."""
     prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
-    left = np.diag(adjustment.kept_covariance)[at] / prior.sigma.ravel() ** 2
-    open_ = ~prior.held.ravel() & (left < 1.0 - SILENT)
+    remaining = np.diag(adjustment.kept_covariance)[at] / prior.sigma.ravel() ** 2
+    open_ = ~prior.held.ravel() & (remaining < 1.0 - SILENT)
     sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.names)}
     each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
     terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
@@ -303,25 +311,25 @@ def _terms(adjustment: Adjustment) -> list[Ints]:
 
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
-    """Every target whose readings check each other and whose place is an unknown of its own, held out.
+    """Held-out prediction of every target whose readings check each other and whose coordinates are eliminated.
 
-    What is known of its coordinates is held out with its readings, and predicted with them.
+    Control coordinates of a target are held out with its readings and predicted with them.
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
-    system, kept = adjustment.solution.system, adjustment.problem.unknowns.kept
-    known = np.repeat(problem.control.target, problem.control.axes.sum(axis=1))
+    system, n_reduced = adjustment.solution.system, adjustment.problem.unknowns.kept
+    control_targets = np.repeat(problem.control.target, problem.control.axes.sum(axis=1))
     lengths = np.full(len(problem.gauge), -1)
-    row_target = np.concatenate([adjustment.recording.target[np.nonzero(problem.use)[0]], lengths, known])
-    own = np.flatnonzero(unknowns.target[:, 0] >= kept)
-    own = own[:: max(1, -(-len(own) // MOST_TARGETS))]
-    found = []
-    for target in own.tolist():
+    row_target = np.concatenate([adjustment.recording.target[np.nonzero(problem.use)[0]], lengths, control_targets])
+    eliminated = np.flatnonzero(unknowns.target[:, 0] >= n_reduced)
+    eliminated = eliminated[:: max(1, -(-len(eliminated) // MOST_TARGETS))]
+    held_out = []
+    for target in eliminated.tolist():
         rows = np.flatnonzero(row_target == target)
         if len(rows) > 3:
             design = as_dense(system.design[rows])
-            reduced = _without(design[:, unknowns.target[target]], design[:, :kept], system.residual[rows])
-            found.append(_held_out(adjustment, *reduced))
-    return found
+            reduced = _without(design[:, unknowns.target[target]], design[:, :n_reduced], system.residual[rows])
+            held_out.append(_held_out(adjustment, *reduced))
+    return held_out
 
 
 def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
@@ -335,6 +343,6 @@ def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldO
     spread = covariance @ design.T
     alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
     by_parameter = alone @ spread[at].T
-    own = covariance[np.ix_(at, at)] + spread[at] @ by_parameter
-    left = alone @ residual
-    return HeldOutTarget(left, by_parameter, own, spread[at] @ left)
+    parameter_covariance = covariance[np.ix_(at, at)] + spread[at] @ by_parameter
+    held_out_residual = alone @ residual
+    return HeldOutTarget(held_out_residual, by_parameter, parameter_covariance, spread[at] @ held_out_residual)

@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.identification import Selection, Test, outcomes
+from ltsim.adjustment.identification import Selection, outcomes
 from ltsim.adjustment.identification.fit import Fit, changed_recording
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Bools
-from ltsim.diagnosis.certain import gross_finding, known_finding
-from ltsim.diagnosis.findings import place_of
-from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
+from ltsim.diagnosis.findings_from_tests import finding_of, gross_finding, reference_value_finding
+from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -24,20 +23,6 @@ FAR_OUT = 8.0
 """Normalised residual that noise does not reach in any recording, even where it is twice the declared one."""
 PATTERN = 2
 """Outliers of one observable at one station or target up to which they are single errors."""
-EFFECTS = {
-    ("constant-offset", "distance"): "range-offset",
-    ("constant-offset", "elevation"): "vertical-index",
-    ("scale-error", "distance"): "range-scale",
-    ("orientation", "azimuth"): "station-bump",
-    ("station-bump", "position"): "station-bump",
-    ("station-drift", "position"): "station-settling",
-    ("target-moved", "position"): "target-moved",
-    ("reflector-radius", "position"): "smr-offset",
-    ("names", "position"): "target-swap",
-    ("unit", "position"): "wrong-unit",
-    ("height", "position"): "outlier",
-}
-"""Catalogue effect of a cause, by its kind and what it acts on; `outlier` and `unknown` for the others."""
 
 
 def mistakes_in(selection: Selection) -> list[Hypothesis]:
@@ -91,32 +76,5 @@ def adapted(
     moved, tripods = mend_tripods(baseline)
     if tripods:
         baseline = adjust(moved, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=baseline.state)
-    wrong = [known_finding(test, baseline) for test in baseline.axes if test.left_out]
+    wrong = [reference_value_finding(test, baseline) for test in baseline.axes if test.left_out]
     return baseline, ~errors, [*(finding_of(t) for t in tests), *wrong, *(gross_finding(t, baseline) for t in tripods)]
-
-
-def finding_of(test: Test) -> Finding:
-    """The finding of a test that was accepted."""
-    name = "outlier" if test.kind == "outlier" else EFFECTS.get((test.kind, test.acts_on), "unknown")
-    observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
-    rows: tuple[Estimate, ...] = ()
-    if test.estimate is not None:
-        rows = (Estimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
-    formula = f"the {test.acts_on} of {', '.join((*test.where.stations, *test.where.targets))} is wrong"
-    wrong = test.kind == "reference-value"
-    return Finding(
-        effect=name,
-        known=name != "unknown",
-        where=place_of(observables=observables, stations=test.where.stations, targets=test.where.targets),
-        parameters=rows,
-        evidence=Evidence(
-            chi2_drop=test.statistic, parameters=test.dof, p_value=test.p_value, probability=test.probability or 1.0
-        ),
-        sentence=test.sentence,
-        equivalents=tuple(
-            Equivalent(effect=EFFECTS.get((a.kind, "position"), a.kind), probability=a.probability)
-            for a in test.alternatives
-        ),
-        formula=formula if wrong else "",
-        carrier=f"reference {test.acts_on}" if wrong else "",
-    )

@@ -174,7 +174,7 @@ def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> N
         parameters=["beam-tilt", "vertical-index"],
         advise=False,
     )
-    assert any(out.row == 4 and out.left_out for out in found.outliers) and found.held.any()
+    assert any(out.row == 4 and out.excluded for out in found.outliers) and found.held.any()
     told, adjusted = found.effects[0].parameters, found.adjustment
     assert adjusted is not None
     assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra, rel=1e-3, abs=1e-9)

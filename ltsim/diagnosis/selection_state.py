@@ -13,10 +13,10 @@ from ltsim.adjustment.refit import Refit, refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import WIDE
-from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
-from ltsim.diagnosis.probe import TRIALS
+from ltsim.diagnosis.null_ensemble import TRIALS
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.signature import Signature, Tunable
 from ltsim.physics.model.measurement import State
@@ -27,7 +27,7 @@ REWEIGHTINGS = 2
 
 
 @dataclass
-class Case:
+class SelectionState:
     """A recording with its mistakes mended, the changes of its noise found so far, and a search beside them.
 
     `baseline` is its ordinary adjustment, where all others begin, `use` (n, 3) the readings that they take, `sigma`
@@ -49,7 +49,7 @@ class Case:
 
     def __post_init__(self) -> None:
         self.sigma = self.recording.sigma()
-        self.weigh(self.baseline)
+        self.set_adjustment(self.baseline)
 
     @property
     def searcher(self) -> Searcher:
@@ -63,9 +63,9 @@ class Case:
         return self._searcher
 
     @property
-    def empty(self) -> Found:
+    def empty(self) -> Model:
         """The set of no findings."""
-        return Found((), (), (), self.space.residual)
+        return Model((), (), (), self.space.residual)
 
     @property
     def recording(self) -> Recording:
@@ -90,13 +90,13 @@ class Case:
 
         return refit(with_causes if old.effects else adjusted, effects, start=old.state)
 
-    def free(self, constants: Sequence[Contradiction]) -> None:
+    def release_priors(self, constants: Sequence[Contradiction]) -> None:
         """Let constants that contradict what is known of them be whatever the readings say."""
         old = self.baseline
         freed = np.zeros(old.state.instrument.shape, dtype=bool)
-        for one in constants:
-            owners = [self.recording.instruments.index(name) for name in one.instruments]
-            freed[owners, old.construction.names.index(one.parameter.name)] = True
+        for constant in constants:
+            owners = [self.recording.instruments.index(name) for name in constant.instruments]
+            freed[owners, old.construction.names.index(constant.parameter.name)] = True
         prior = old.problem.prior.widened(freed)
         self.baseline = adjust(
             self.recording,
@@ -107,55 +107,60 @@ class Case:
             start=old.state,
             prior=prior,
         )
-        self.weigh(self.refit((), self.sigma).adjustment)
+        self.set_adjustment(self.refit((), self.sigma).adjustment)
 
-    def weigh(self, adjustment: Adjustment) -> None:
+    def set_adjustment(self, adjustment: Adjustment) -> None:
         """Look at what another adjustment leaves; what was scored before is let go."""
         self.space, self._scored, self._searcher = ResidualSpace.of(adjustment), self._searcher or self._scored, None
-        quieter = not any(getattr(one.effect, "repeating", "") for one in self.noise)
+        quieter = not any(getattr(change.effect, "repeating", "") for change in self.noise)
         tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
         self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
 
-    def noises(self, found: Found) -> list[tuple[float, NoiseHypothesis]]:
+    def noises(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Every change of the noise beside a set, the likeliest of each family first, with its evidence."""
-        redundancy = self.space.redundancy - np.sum(found.extension**2, axis=1)
-        return self.bank.ranked(found.residual, redundancy, found.extension)
+        redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
+        return self.bank.ranked(model.residual, redundancy, model.basis)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
         """Take in a further change of the noise; one of the same kind at the same place is made larger."""
-        for i, one in enumerate(self.noise):
-            if one.effect == further.effect:
-                values = tuple(a + b for a, b in zip(one.values, further.values, strict=True))
-                self.noise[i] = replace(one, values=values, drop=one.drop + further.drop)
+        for i, change in enumerate(self.noise):
+            if change.effect == further.effect:
+                values = tuple(a + b for a, b in zip(change.values, further.values, strict=True))
+                self.noise[i] = replace(change, values=values, drop=change.drop + further.drop)
                 break
         else:
             self.noise.append(further)
         self.sigma = self._weighted(self.noise)
 
-    def settle_noise(self, beside: Sequence[Tunable]) -> Adjustment:
+    def estimate_variance_components(self, effects: Sequence[Tunable]) -> Adjustment:
         """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out.
 
         This ends at the restricted maximum likelihood (Foerstner 1979).
         """
         for _ in range(REWEIGHTINGS):
-            space = ResidualSpace.of(self.refit((), self.sigma).adjustment).beside(beside)
-            for i, one in enumerate(self.noise):
-                stated = self._weighted([*self.noise[:i], *self.noise[i + 1 :]])
-                self.noise[i] = replace(most_likely(space, stated, one), drop=one.drop)
+            space = ResidualSpace.of(self.refit((), self.sigma).adjustment).beside(effects)
+            for i, change in enumerate(self.noise):
+                others = self._weighted([*self.noise[:i], *self.noise[i + 1 :]])
+                self.noise[i] = replace(most_likely(space, others, change), drop=change.drop)
             self.sigma = self._weighted(self.noise)
         return self.refit((), self.sigma).adjustment
 
-    def settle_with(self, beside: Sequence[Tunable]) -> None:
+    def prune_variance_components(self, effects: Sequence[Tunable]) -> None:
         """Settle the noise beside some effects, without changes of it that these leave no reason for."""
-        space = ResidualSpace.of(self.settle_noise(beside)).beside(beside)
-        told = [most_likely(space, self._weighted([n for n in self.noise if n is not one]), one) for one in self.noise]
-        self.noise = [n for n, one in zip(self.noise, told, strict=True) if 0.5 * one.drop + one.log_prior > 0.0]
+        space = ResidualSpace.of(self.estimate_variance_components(effects)).beside(effects)
+        estimates = [
+            most_likely(space, self._weighted([n for n in self.noise if n is not change]), change)
+            for change in self.noise
+        ]
+        self.noise = [
+            n for n, change in zip(self.noise, estimates, strict=True) if 0.5 * change.drop + change.log_prior > 0.0
+        ]
         self.sigma = self._weighted(self.noise)
-        self.weigh(self.settle_noise(beside))
+        self.set_adjustment(self.estimate_variance_components(effects))
 
     def _weighted(self, noise: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) with some changes of the noise."""
         sigma, sightings = self.recording.sigma(), self.baseline.sightings
-        for one in noise:
-            sigma = np.sqrt(one.effect.variance(sightings, sigma, np.array(one.values)))
+        for change in noise:
+            sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.values)))
         return sigma

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
-from ltsim.diagnosis.probe import Probe
+from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.physics.laws.places import Place
 from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import ResponseTerm
@@ -34,7 +34,7 @@ MOST_HITS = 6
 
 
 @dataclass(frozen=True)
-class Hit:
+class ScreenedLaw:
     """One hypothesis of a panel and its log evidence with its prior."""
 
     carrier: ResponseTerm
@@ -45,7 +45,7 @@ class Hit:
 
 
 @dataclass(frozen=True)
-class Cells:
+class RowPartition:
     """Pointings that lie in the same places: a sum over a place is that of its cells.
 
     Attributes
@@ -63,7 +63,7 @@ class Cells:
     members: sp.csr_array
 
     @classmethod
-    def of(cls, places: Sequence[Place], count: int) -> Cells:
+    def of(cls, places: Sequence[Place], count: int) -> RowPartition:
         """The cells of places among `count` pointings."""
         inside = np.zeros((len(places), count), dtype=bool)
         for here, place in zip(inside, places, strict=True):
@@ -88,7 +88,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Panel:
+class LawBatch:
     """Carriers of one kind and c components, drivers alike in columns k and scales, P places.
 
     Attributes
@@ -104,7 +104,7 @@ class Panel:
     carriers: tuple[ResponseTerm, ...]
     drivers: tuple[Regressor, ...]
     places: tuple[Place, ...]
-    cells: Cells
+    cells: RowPartition
     weights: Singles
     columns: Singles
     log_prior: Floats
@@ -116,60 +116,60 @@ class Panel:
         ways = self.weights.shape[3]
         return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
 
-    def score(self, probe: Probe) -> tuple[list[Hit], float, Floats]:
+    def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """The hypotheses of every place worth a second look, and the log sums of all: here, and in trials (trials,)."""
         count = len(self.drivers)
         step = max(1, AT_ONCE * count // (self.columns.shape[1] * self.weights[0, 0].size * len(self.places)))
-        found = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
-        values = np.concatenate([values for values, _ in found], axis=2).reshape(len(self.places), -1)
-        null = log_sum_exp(np.stack([null for _, null in found]))
+        parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
+        values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
+        null = log_sum_exp(np.stack([null for _, null in parts]))
         best = np.argsort(-np.round(values / SCREENED_TIE), axis=1, kind="stable")[:, :MOST_HITS]
         hits = [
-            Hit(self.carriers[i // count], self.drivers[i % count], place, v, prior)
-            for place, prior, some, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
-            for i, v in zip(some.tolist(), here[some].tolist(), strict=True)
+            ScreenedLaw(self.carriers[i // count], self.drivers[i % count], place, v, prior)
+            for place, prior, indices, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
+            for i, v in zip(indices.tolist(), here[indices].tolist(), strict=True)
         ]
         return hits, float(log_sum_exp(values.ravel())), null
 
-    def _at(self, probe: Probe, some: slice) -> tuple[Floats, Floats]:
+    def _at(self, probe: NullEnsemble, part: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) of some drivers with priors, and its log sum over trials.
 
         Beside what was found, what the adjustment leaves of a law is taken to be what it left before: too much where
         the two are alike. Whatever is worth a second look is computed exactly.
         """
-        scores = self._sums(probe, some)
+        scores = self._sums(probe, part)
         score, trials, _ = probe.split(scores)
         null = np.full((1, probe.trials.shape[1]), -np.inf)
-        if probe.fresh:
-            turned = self._turned(probe.gram(scores, self._own(some)), some)
-            self._forms[some.start] = [(forms_of(strength), turn) for strength, turn in turned]
+        if probe.is_first_pass:
+            turned = self._turned(probe.gram(scores, self._self_products(part)), part)
+            self._forms[part.start] = [(forms_of(strength), turn) for strength, turn in turned]
             if probe.trials.shape[1]:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
             log_sum_exp(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
-            for forms, turn in self._forms[some.start]
+            for forms, turn in self._forms[part.start]
         ]
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 
-    def _turned(self, gram: Floats, some: slice) -> list[tuple[Floats, Singles]]:
+    def _turned(self, gram: Floats, part: slice) -> list[tuple[Floats, Singles]]:
         """For each scale eigenvalues (P, C, d, k), and what turns scores into those along eigenvectors."""
-        found = []
-        for spread in (spread[some] for spread in self._spreads):
+        turned = []
+        for spread in (spread[part] for spread in self._spreads):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
-            found.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
-        return found
+            turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
+        return turned
 
-    def _columns(self, some: slice) -> Singles:
+    def _columns(self, part: slice) -> Singles:
         """Columns (n, d k) of some drivers."""
         k = self.columns.shape[1] // len(self.drivers)
-        return self.columns[:, some.start * k : some.stop * k]
+        return self.columns[:, part.start * k : part.stop * k]
 
-    def _sums(self, probe: Probe, some: slice) -> Singles:
+    def _sums(self, probe: NullEnsemble, chosen: slice) -> Singles:
         """Products (P, C, d, c k, v) of columns of some drivers with the probe's vectors at all places."""
         _, _, count, ways = self.weights.shape
-        columns, vectors = self._columns(some), probe.vectors.shape[1]
+        columns, vectors = self._columns(chosen), probe.vectors.shape[1]
         sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
         for part, rows, cells in self.cells.parts(CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
@@ -177,14 +177,14 @@ class Panel:
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
-        d = some.stop - some.start
+        d = chosen.stop - chosen.start
         shaped = self.cells.summed(sums).reshape(len(self.places), d, -1, count, ways, vectors)
         return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
 
-    def _own(self, some: slice) -> Floats:
+    def _self_products(self, chosen: slice) -> Floats:
         """Products (P, C, d, c k, c k) of the columns of each hypothesis with each other."""
         _, _, count, ways = self.weights.shape
-        columns, d = self._columns(some), some.stop - some.start
+        columns, d = self._columns(chosen), chosen.stop - chosen.start
         k = columns.shape[1] // d
         sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
         for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):

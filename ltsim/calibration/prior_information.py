@@ -1,4 +1,4 @@
-"""Prior information of a calibration: a person's decisions about its parameters, results of earlier calibrations."""
+"""Prior information of a calibration: chosen parameters and held values, results of earlier calibrations."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import read_calibration
+from ltsim.calibration.files import history_file, read_calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.history_file import history_file
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import CalibrationFile
 from ltsim.core.arrays import Floats
@@ -23,30 +22,30 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 WIDE = 1000.0
-"""Prior sigmas that stand for no prior: 10 to 20 mm and 15 mrad, within which the equations hold."""
+"""Factor on prior sigmas that stands for no prior: 10 to 20 mm and 15 mrad, within which the linearisation holds."""
 
 
 @dataclass(frozen=True)
-class Known:
+class EarlierCalibrations:
     """Values with their covariance, by the names of instruments and parameters."""
 
     construction: str
     parameters: tuple[str, ...]
     instruments: tuple[str, ...]
-    """One alone stands for whatever instrument a recording names."""
+    """Names of the instruments; a single one applies to any instrument of a recording."""
     mean: Floats
     """(I, p) [SI]."""
     covariance: Floats
     """(I, p, p) [SI]."""
     spread: Floats
-    """(p,) [SI]: of the parameters from one calibration to the next; 0 where one alone says nothing of it."""
+    """Standard deviation (p,) [SI] of the parameters between calibrations; 0 for a single calibration."""
     count: int = 1
-    """Calibrations behind it."""
+    """Number of calibrations."""
 
     @classmethod
-    def of(cls, source: Calibration | History | Known | str | Path) -> Known:
+    def of(cls, source: Calibration | History | EarlierCalibrations | str | Path) -> EarlierCalibrations:
         """Prior information from a calibration, a history, or the file of one; raises RecordError."""
-        if isinstance(source, Known):
+        if isinstance(source, EarlierCalibrations):
             return source
         if isinstance(source, Calibration):
             return cls._of_calibration(source)
@@ -61,31 +60,38 @@ class Known:
         return cls._of_calibration(read_calibration(file))
 
     @classmethod
-    def _of_calibration(cls, found: Calibration) -> Known:
-        """Parameters that were held there are left out: their values were not found."""
-        free = np.flatnonzero(~found.held.any(axis=0) & (found.sigma > 0).all(axis=0))
-        count, size = found.values.shape
-        blocks = found.covariance.reshape(count, size, count, size)
-        own = np.stack([blocks[i, :, i][np.ix_(free, free)] for i in range(count)])
-        names = tuple(found.construction.names[k] for k in free)
-        return cls(found.construction.name, names, found.instruments, found.values[:, free], own, np.zeros(len(free)))
+    def _of_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
+        """Prior information of a calibration without the parameters that it held."""
+        free = np.flatnonzero(~calibration.held.any(axis=0) & (calibration.sigma > 0).all(axis=0))
+        count, size = calibration.values.shape
+        blocks = calibration.covariance.reshape(count, size, count, size)
+        covariances = np.stack([blocks[i, :, i][np.ix_(free, free)] for i in range(count)])
+        names = tuple(calibration.construction.names[k] for k in free)
+        return cls(
+            calibration.construction.name,
+            names,
+            calibration.instruments,
+            calibration.values[:, free],
+            covariances,
+            np.zeros(len(free)),
+        )
 
     @classmethod
-    def _of_history(cls, content: HistoryFile, file: Path | None = None) -> Known:
+    def _of_history(cls, content: HistoryFile, file: Path | None = None) -> EarlierCalibrations:
         courses = content.parameters
         strange = next((course for course in courses if course.unit not in FACTOR), None)
         if strange is not None:
             raise RecordError(f"parameters: unknown unit '{strange.unit}' of {strange.name}", file=file)
         if np.shape(content.mean_covariance) != (len(courses), len(courses)):
-            raise RecordError("found no covariance of the means; make it again by `ltsim history`", file=file)
+            raise RecordError("the file has no covariance of the means; write it again with `ltsim history`", file=file)
         factor = np.array([FACTOR[course.unit] for course in courses])
         mean, spread = (np.array([getattr(course, what) for course in courses]) * factor for what in ("mean", "spread"))
         covariance = np.diag(spread**2) + np.array(content.mean_covariance) * np.outer(factor, factor)
         names = tuple(course.name for course in courses)
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
-    def over(self, stated: ParameterPrior, construction: Construction, instruments: tuple[str, ...]) -> ParameterPrior:
-        """The `stated` prior of a recording's instruments with what is known in the place of it.
+    def over(self, nominal: ParameterPrior, construction: Construction, instruments: tuple[str, ...]) -> ParameterPrior:
+        """Prior of a recording's instruments: the earlier calibrations' where they have the parameter, else `nominal`.
 
         Raises
         ------
@@ -99,15 +105,15 @@ class Known:
             )
         here = [construction.names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
-        mean, covariance = stated.mean.copy(), stated.covariance.copy()
+        mean, covariance = nominal.mean.copy(), nominal.covariance.copy()
         for i, name in enumerate(instruments):
             if len(self.instruments) > 1 and name not in self.instruments:
-                known = ", ".join(self.instruments)
-                raise RecordError(f"earlier calibrations know the instruments {known}, not '{name}'")
+                names = ", ".join(self.instruments)
+                raise RecordError(f"earlier calibrations know the instruments {names}, not '{name}'")
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
             mean[i, here] = self.mean[k, there]
             covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
-        return ParameterPrior(mean, covariance, stated.held)
+        return ParameterPrior(mean, covariance, nominal.held)
 
 
 @dataclass(frozen=True)
@@ -124,10 +130,10 @@ class Choice:
     """Parameters to hold at zero."""
     hold: Mapping[str, float] = field(default_factory=dict)
     """Parameters to hold at a value, in the parameter's unit."""
-    prior: Known | None = None
+    prior: EarlierCalibrations | None = None
     """Result of earlier calibrations, in place of the set-up's prior."""
     free: bool = False
-    """Without a prior: parameters may be `WIDE` times as large as the set-up says, which no instrument's are."""
+    """True without a prior: its standard deviations are then `WIDE` times those of the set-up."""
 
     def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
         """The prior of a recording's instruments that follows; raises ModelError, SetupError."""
@@ -136,15 +142,15 @@ class Choice:
     def over(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
         """The same where standard deviations (I, p) [SI] are expected."""
         check_names(recording, construction)
-        stated = ParameterPrior.independent(sigma * (WIDE if self.free else 1.0))
+        nominal = ParameterPrior.independent(sigma * (WIDE if self.free else 1.0))
         if self.prior is not None:
-            stated = self.prior.over(stated, construction, recording.instruments)
+            nominal = self.prior.over(nominal, construction, recording.instruments)
 
         def places(*wanted: str) -> list[int]:
             return [k for name in wanted for k in places_of(name, construction.names, recording.instruments)]
 
-        held = np.zeros(stated.mean.shape, dtype=bool)
-        values = np.zeros(stated.mean.shape)
+        held = np.zeros(nominal.mean.shape, dtype=bool)
+        values = np.zeros(nominal.mean.shape)
         if self.parameters is not None:
             held[:] = True
             held.flat[places(*self.parameters)] = False
@@ -152,36 +158,36 @@ class Choice:
         for name, value in self.hold.items():
             at = places(name)
             if len({k % construction.size for k in at}) > 1:
-                raise ModelError(f"'{name}' stands for several parameters; a value belongs to one")
+                raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
             held.flat[at] = True
             values.flat[at] = float(value) * construction.parameters[at[0] % construction.size].factor
         if held.all():
-            raise ModelError("no parameter is left to estimate")
-        # Parameters that are held tell nothing about the others.
-        covariance, own = stated.covariance.copy(), np.eye(construction.size, dtype=bool)
-        covariance[(held[:, :, None] | held[:, None, :]) & ~own] = 0.0
-        return ParameterPrior(np.where(held, values, stated.mean), covariance, held)
+            raise ModelError("all parameters are held; leave at least one to estimate")
+        # Held parameters carry no information on the others.
+        covariance, diagonal = nominal.covariance.copy(), np.eye(construction.size, dtype=bool)
+        covariance[(held[:, :, None] | held[:, None, :]) & ~diagonal] = 0.0
+        return ParameterPrior(np.where(held, values, nominal.mean), covariance, held)
 
 
 def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]) -> list[int]:
     """Places in the flat vector (I p) of a parameter, or of several by their beginning; raises ModelError."""
     name, at, instrument = wanted.strip().partition("@")
     if at and instrument not in instruments:
-        raise unknown_name("instrument", instrument, [known or "unnamed" for known in instruments])
-    own = [k for k, p in enumerate(parameters) if p == name]
-    own = own or [k for k, p in enumerate(parameters) if p.startswith((name + "-", name + "_", name + "."))]
-    if not own:
+        raise unknown_name("instrument", instrument, [label or "unnamed" for label in instruments])
+    matches = [k for k, p in enumerate(parameters) if p == name]
+    matches = matches or [k for k, p in enumerate(parameters) if p.startswith((name + "-", name + "_", name + "."))]
+    if not matches:
         raise unknown_name("parameter", name, parameters)
     chosen = [instruments.index(instrument)] if at else range(len(instruments))
-    return [i * len(parameters) + k for i in chosen for k in own]
+    return [i * len(parameters) + k for i in chosen for k in matches]
 
 
 def check_names(recording: Recording, construction: Construction) -> None:
     """Raise SetupError where the set-up states a prior of a parameter that no construction has."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
-    known = {*construction.names, *every_parameter_name()}
+    parameter_names = {*construction.names, *every_parameter_name()}
     for table, instrument in tables.items():
         for name in instrument.prior.parameters:
-            if name not in known:
+            if name not in parameter_names:
                 raise SetupError(f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.names)}")

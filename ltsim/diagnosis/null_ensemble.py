@@ -21,14 +21,14 @@ from ltsim.solve.projection import BasisProjection
 
 TRIALS = 300
 """Simulated recordings without any effect, by which a search is judged, at least."""
-GAUGES = 200
+GRAM_DRAWS = 200
 """Further simulated residuals, for Gram matrices without a basis: lengths are known to 10 %."""
 MOST_UNKNOWNS = 500
 """Unknowns up to which what an adjustment absorbs is computed with its basis."""
 
 
 @dataclass(frozen=True)
-class Probe:
+class NullEnsemble:
     """A residual space with the vectors that scores are taken with.
 
     Attributes
@@ -36,46 +36,47 @@ class Probe:
     space : ResidualSpace
     residual : (m,) float
         What is left beside what was found already.
-    extension : (m, e) float
+    model_basis : (m, e) float
         Orthonormal columns of that.
     trials : (m, t) float32
         Residuals of simulated recordings, by which a search is judged; none where it is not.
     basis : (m, u) float32
-        Orthonormal basis of what is estimated; where it is `sampled`, simulated residuals, none of the `trials`.
-    fresh : bool
-        Whether nothing was found yet.
-    sampled : bool
-        Whether Gram matrices are means over simulated residuals, for want of a basis.
+        Orthonormal basis of the estimated parameters; with `gram_is_monte_carlo` simulated residuals instead, drawn
+        independently of the `trials`.
+    is_first_pass : bool
+        True while the model is empty.
+    gram_is_monte_carlo : bool
+        True where Gram matrices are means over simulated residuals, for want of a basis.
     """
 
     space: ResidualSpace
     residual: Floats
-    extension: Floats
+    model_basis: Floats
     trials: Singles
     basis: Singles
-    fresh: bool
-    sampled: bool
+    is_first_pass: bool
+    gram_is_monte_carlo: bool
 
     @classmethod
-    def of(cls, space: ResidualSpace, seed: int, trials: int) -> Probe:
+    def of(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
         """The probe of a residual space, with so many simulated recordings."""
         projection = space.projection
         sampled = not (isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS)
         null = _simulated(space, stream(seed, "diagnose", "null"), trials)
-        basis = _simulated(space, stream(seed, "diagnose", "gauges"), GAUGES) if sampled else None
+        basis = _simulated(space, stream(seed, "diagnose", "gauges"), GRAM_DRAWS) if sampled else None
         if isinstance(projection, BasisProjection) and basis is None:
             basis = projection.basis.astype(np.float32)
         assert basis is not None
         nothing = np.zeros((space.size, 0))
-        return cls(space, space.residual, nothing, null, basis, fresh=True, sampled=sampled)
+        return cls(space, space.residual, nothing, null, basis, is_first_pass=True, gram_is_monte_carlo=sampled)
 
-    def beside(self, residual: Floats, extension: Floats) -> Probe:
+    def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """The same beside what was found: its residual (m,) and orthonormal columns (m, e).
 
         What the adjustment leaves of every signature, and what chance makes of it, is known by then.
         """
         none = self.trials[:, :0]
-        return replace(self, residual=residual, extension=extension, trials=none, basis=none, fresh=False)
+        return replace(self, residual=residual, model_basis=model_basis, trials=none, basis=none, is_first_pass=False)
 
     @cached_property
     def vectors(self) -> Singles:
@@ -95,7 +96,7 @@ class Probe:
         edge = 1 + self.trials.shape[1]
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
-    def gram(self, scores: Floats | Singles, own: Floats) -> Floats:
+    def gram(self, scores: Floats | Singles, products: Floats) -> Floats:
         """Gram matrices (..., k, k) of what the adjustment leaves of columns.
 
         Parameters
@@ -106,7 +107,7 @@ class Probe:
             Products of the columns with each other.
         """
         squares = square(self.split(scores)[2])
-        return squares / self.basis.shape[1] if self.sampled else own - squares
+        return squares / self.basis.shape[1] if self.gram_is_monte_carlo else products - squares
 
 
 def _simulated(space: ResidualSpace, rng: np.random.Generator, count: int) -> Singles:

@@ -9,7 +9,7 @@ import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.worth import ScaledPrior, held_out_targets, point_errors, reading_noise
+from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_errors, reading_noise
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
 from ltsim.core.randomness import stream
@@ -157,8 +157,8 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
         readings[rows, 1] += size / readings[rows, 0]
     found = lt.calibrate(recording.with_readings(readings), advise=False)
     assert found.correction is not None
-    assert found.correction.left_out
-    at = [found.names.index(name) for name in found.correction.left_out]
+    assert found.correction.not_applied
+    at = [found.names.index(name) for name in found.correction.not_applied]
     assert np.all(found.applied[0, at] == 0.0)
     assert np.any(found.values[0, at] != 0.0)
 

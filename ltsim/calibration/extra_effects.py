@@ -1,0 +1,155 @@
+"""Effects of the catalogue, and empirical laws, that the user requests, estimated with the calibration.
+
+Places and constants that the user does not fix are chosen to explain most of the residuals; the constants are then
+adjusted with everything else. The p-value of the decrease of chi-square is corrected for all candidates.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment
+from ltsim.adjustment.refit import Estimated, Refit, refit
+from ltsim.adjustment.reliability import surprise
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
+from ltsim.core.errors import ModelError, option
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.sizes import sizes_of
+from ltsim.physics.laws.words import AT_EACH_SET_UP, describe
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
+
+PLACES = ("stations", "targets")
+PASSES = 3
+"""Largest number of passes in which outliers and noise are estimated again with the new constants."""
+
+
+@dataclass(frozen=True)
+class RequestedEffect:
+    """An effect or law to estimate; fields that are not `fixed` are chosen by the readings."""
+
+    effect: Tunable
+    fixed: frozenset[str] = frozenset()
+
+    def check(self, recording: Recording, construction: Construction) -> None:
+        """Raise ModelError where it cannot be estimated with the calibration of a recording."""
+        effect, name = self.effect, self.effect.name
+        if isinstance(effect, NoiseEffect):
+            how = f"use {option('noise_from_data=True')} to estimate the noise"
+            raise ModelError(f"{name} changes the noise, not the readings; {how}")
+        if isinstance(effect, Mistake):
+            raise ModelError(f"{name} is a mistake in the recording and has no size; ltsim diagnose corrects it")
+        parameter_names = {p.name for p in effect.parameters}
+        if not effect.place and parameter_names <= set(construction.names):
+            raise ModelError(f"{name} is part of the ordinary calibration; confine it to a station, as in {name}:NAME")
+        for kind, names in zip(PLACES, (recording.stations, recording.targets), strict=True):
+            lost = sorted(set(getattr(effect, kind)) - set(names))
+            if lost:
+                raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
+
+    def candidates(self, adjustment: Adjustment) -> Sequence[Tunable]:
+        """All instances of the effect that agree with the fixed fields."""
+        if not isinstance(self.effect, Effect):
+            return [self.effect]
+        same = [
+            c
+            for c in self.effect.candidates(adjustment.sightings)
+            if all(getattr(c, key) == getattr(self.effect, key) for key in self.fixed)
+        ]
+        if same:
+            return same
+        free = [s for s in self.effect.shape if s.name not in self.fixed]
+        grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free))
+        return [self.effect.reshaped(**dict(shape)) for shape in grids]
+
+
+def fit_with_extra_effects(
+    adjusted: Callable[[Sequence[Tunable]], Adjustment],
+    always: Sequence[Tunable],
+    extra_effects: Sequence[RequestedEffect],
+) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
+    """Adjustment with the requested effects, each chosen given those before, and the entry of each.
+
+    `always` effects are estimated first and are not reported.
+    """
+    adjustment, fits = adjusted(always), list[FittedEffectEntry]()
+    fit, fixed = Refit(adjustment, tuple(always), ()), [frozenset[str]()] * len(always)
+    for wanted in extra_effects:
+        candidates, space = wanted.candidates(adjustment), ResidualSpace.of(adjustment)
+        best = max(candidates, key=lambda effect: float(surprise(*space.explained(space.signature(effect)))))
+        freedom, before = space.explained(space.signature(best))[1], adjustment.chi2
+        if freedom:
+            fixed.append(wanted.fixed)
+            adjustment, fit = _settled(adjusted, [*fit.effects, best], fixed)
+        estimated = best if freedom else wanted.effect
+        place = "" if isinstance(estimated, Law) and estimated.each else estimated.place
+        drop = max(before - adjustment.chi2, 0.0)
+        name, tried = name_of(best, adjustment), len(candidates)
+        fits.append(FittedEffectEntry(effect=name, where=place, chi2_drop=drop, freedom=freedom, tried=tried))
+    first = len(always)
+    rows = (
+        _sizes(effect, adjustment) if isinstance(effect, Law) else _rows(effect, estimated, given)
+        for effect, estimated, given in zip(fit.effects[first:], fit.told[first:], fixed[first:], strict=True)
+    )
+    return adjustment, tuple(
+        entry.model_copy(update={"parameters": next(rows)}) if entry.freedom else entry for entry in fits
+    )
+
+
+def _settled(
+    adjusted: Callable[[Sequence[Tunable]], Adjustment], effects: Sequence[Tunable], fixed: Sequence[frozenset[str]]
+) -> tuple[Adjustment, Refit]:
+    """Adjustment with effects at their best constants, and the refit with its readings and weights."""
+    for _ in range(PASSES):
+        adjustment = adjusted(effects)
+        near = adjustment.with_effects
+        fit = refit(near, effects, start=adjustment.state, fixed=fixed)
+        if fit.effects == tuple(effects):
+            break
+        effects = fit.effects
+    return adjustment, fit
+
+
+def name_of(effect: Signature, adjustment: Adjustment) -> str:
+    """The name of an effect; that of a law are its words."""
+    if not isinstance(effect, Law):
+        return effect.name
+    suffix = AT_EACH_SET_UP if effect.each else ""
+    return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}{suffix}"
+
+
+def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
+    """Estimated sizes of a law among an adjustment's effects, one entry each."""
+    before = adjustment.effects[: adjustment.effects.index(law)]
+    first = sum(len(effect.parameters) for effect in before)
+    columns = slice(first, first + len(law.parameters))
+    sizes = sizes_of(
+        law, adjustment.sightings, adjustment.state.extra[columns], adjustment.extra_covariance[columns, columns]
+    )
+    return tuple(FittedParameterEntry(**size._asdict()) for size in sizes)
+
+
+def _rows(effect: Tunable, estimates: Sequence[Estimated], fixed: frozenset[str]) -> tuple[FittedParameterEntry, ...]:
+    """Entries of an effect: parameters, kind, fixed constants, and estimated constants."""
+    numbers = [_row(*estimate) for estimate in estimates]
+    words = [
+        FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
+        for key, value in vars(effect).items()
+        if isinstance(value, str) or type(value) is int  # the order of a harmonic
+    ]
+    given = [_row(s, getattr(effect, s.name), np.inf) for s in effect.shape if s.name in fixed]
+    count = len(effect.parameters)
+    return (*numbers[:count], *words, *given, *numbers[count:])
+
+
+def _row(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
+    """A number in its unit."""
+    unit = FACTOR[parameter.unit]
+    spread = float(sigma / unit) if np.isfinite(sigma) else None
+    return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)

@@ -1,0 +1,136 @@
+"""Detectability of effects in a network, and the measurement that discriminates between explanations."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.remedies.detectability import MinimalSize, Seen, information_left, seen_from, thinned
+from ltsim.adjustment.remedies.next_measurement import deciding, explanation, space_of
+from ltsim.adjustment.remedies.remedy import advice
+from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError
+from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.schema import Undetectable
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import Effect, NoiseEffect
+from ltsim.physics.effects.signature import Signature
+
+OUT_OF_REACH = 10.0
+"""An effect is reported as undetectable if it is detectable only above this multiple of a bad but plausible size."""
+TIE = 1e-6
+"""Sizes within this relative difference are equal, and the first is reported: rounding must not decide."""
+DIGITS = 6
+"""Decimals [um] to which a distortion is rounded."""
+AT_ONCE = 1_000_000
+"""Numbers of signatures in memory at a time."""
+DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
+
+
+def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> DetectabilityReport:
+    """Detectable effects, and undetectable ones with the target error that they hide, worst first.
+
+    For an effect with several parameters the one with the smallest multiple of its plausible size, at a median place.
+
+    Parameters
+    ----------
+    cards : CatalogueSignatures
+        All hypotheses of the catalogue.
+    """
+    detectable, hidden = [], []
+    for effects in cards.by_family():
+        rows = _detectability(space, effects).table()
+        times = np.array([row.typical / row.prior_sigma for row in rows])
+        best = int(np.flatnonzero(times <= times.min() * (1.0 + TIE))[0])
+        if times[best] < OUT_OF_REACH:
+            detectable.append(rows[best])
+        else:
+            hidden.append(_undetectable(space, effects[(len(effects) - 1) // 2], float(times[best])))
+    return tuple(detectable), tuple(sorted(hidden, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
+
+
+def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> Seen:
+    """Detectability of an effect at a sample of its places, in double precision, as it is reported."""
+    sample, entries = thinned(effects), []
+    step = max(1, AT_ONCE // (space.size * len(sample[0].parameters)))
+    for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
+        signatures = [space.signature(effect) for effect in batch]
+        edges = np.cumsum([0, *(signature.shape[1] for signature in signatures)])
+        grams = space.projection.grams(np.hstack(signatures), edges, slice(None))
+        for effect, signature, gram in zip(batch, signatures, grams, strict=True):
+            norm = np.linalg.norm(signature, axis=0)
+            unit = np.where(norm > 0, norm, 1.0)
+            information = information_left(gram / np.outer(unit, unit), norm, VISIBLE)
+            entries.append((effect, *information, np.zeros((0, 0))))
+    return seen_from(entries, len(effects))
+
+
+def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
+    sizes = np.diag([p.prior_sigma for p in effect.parameters])
+    hides = round(max(distortion(space, space.signature(effect) @ size) for size in sizes), DIGITS)
+    size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
+    reason = f"absorbed by poses, targets and instrument parameters: it would be detected {size}"
+    factor = times if np.isfinite(times) else None
+    return Undetectable(
+        effect=effect.name,
+        reason=reason,
+        undetected_target_error_um=hides,
+        detectable_at_factor=factor,
+        cure=advice("cause"),
+    )
+
+
+def distortion(space: ResidualSpace, shift: Floats) -> float:
+    """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
+    moved = space.moved_targets(shift).ravel()
+    points = space.adjustment.state.points
+    motion = rigid_motion(points, points.mean(axis=0))
+    rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
+    return float(1e6 * np.sqrt(3 * np.mean(rest**2)))
+
+
+def separating_measurement(
+    adjustment: Adjustment, effect: str, equivalents: Iterable[str], with_effects: Sequence[Signature]
+) -> str:
+    """Sentence on the measurement that discriminates an effect from its equivalents; empty without equivalents.
+
+    Parameters
+    ----------
+    with_effects : sequence of Signature
+        The other findings.
+    """
+    names = _comparable(effect, equivalents)
+    if not names:
+        return ""
+    space = space_of(adjustment, with_effects)
+    try:
+        explanations = [explanation(space, name) for name in names]
+    except ModelError:  # the network absorbs one of them
+        return ""
+    return deciding(adjustment, explanations, with_effects, first_is_enough=True).advice
+
+
+def open_question(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:
+    """Alternative explanations of the first ambiguous finding of a diagnosis, and the other effects of its model."""
+    for finding in diagnosis.findings:
+        names = (
+            _comparable(finding.effect, [other.effect for other in finding.equivalents])
+            if finding.is_catalogued
+            else ()
+        )
+        if names:
+            return names, tuple(e for e in diagnosis.adjusted.effects if e.name != finding.effect)
+    return (), ()
+
+
+def _comparable(effect: str, equivalents: Iterable[str]) -> tuple[str, ...]:
+    """An effect and its equivalents that shift readings; empty where there is nothing to compare."""
+    others = [name for name in equivalents if name != "unknown" and _shifts(name)]
+    return (effect, *others) if others and _shifts(effect) else ()
+
+
+def _shifts(name: str) -> bool:
+    return not issubclass(find_effect(name), NoiseEffect)

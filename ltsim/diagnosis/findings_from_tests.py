@@ -1,0 +1,155 @@
+"""Findings that need no search: mistakes, known values and constants that contradict what else is known."""
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.identification import Test
+from ltsim.adjustment.known import UNITS, KnownTest
+from ltsim.core.notation import with_sigma
+from ltsim.core.units import MILLIMETRE
+from ltsim.diagnosis.findings import among, place_of
+from ltsim.diagnosis.instruments import Contradiction
+from ltsim.diagnosis.prior import P_CAP_TESTS
+from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
+from ltsim.diagnosis.words import percent
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects.signature import Parameter
+from ltsim.recordings.recording import OBSERVABLES
+
+
+def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
+    """The finding of a gross error whose size the network determines."""
+    return Finding(
+        effect=gross.effect,
+        known=True,
+        where=place_of(observables=gross.observables, stations=gross.stations, targets=gross.targets),
+        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * gross.sigma, unit="mm"),),
+        evidence=Evidence(
+            chi2_drop=(gross.size / gross.sigma) ** 2, parameters=3, p_value=None, probability=P_CAP_TESTS
+        ),
+        sentence=gross.sentence,
+    )
+
+
+DATUM = {
+    "point": "known coordinates",
+    "axes": "stated coordinates",
+    "difference": "known difference",
+    "length": "known length",
+    "level": "level",
+    "yaw": "azimuth zero",
+    "mark": "place of the stand",
+}
+"""Name of the erroneous item for each kind of reference value."""
+
+
+def reference_value_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
+    """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
+    recording = adjustment.recording
+    joined = test.name.partition("#")[0].split("-") if test.kind in ("length", "difference") else []
+    ends = (test.name, *joined)
+    unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
+    rows = [
+        Estimate(
+            name=f"off along {axis}" if len(test.error) > 1 else "off", value=e / factor, sigma=s / factor, unit=unit
+        )
+        for axis, e, s in zip(test.axes or "xyz", test.error.tolist(), test.sigma_error.tolist(), strict=False)
+        if np.isfinite(s)
+    ]
+    sentence = test.sentence[0].upper() + test.sentence[1:] + "."
+    return Finding(
+        effect="unknown",
+        known=False,
+        where=place_of(
+            stations=(test.name,) if test.name in recording.stations else (),
+            targets=tuple(t for t in recording.targets if t in ends)
+            if test.kind in ("point", "axes", "length", "difference")
+            else (),
+        ),
+        parameters=tuple(rows),
+        evidence=Evidence(chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
+        sentence=sentence,
+        formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
+        carrier=DATUM[test.kind],
+    )
+
+
+def instrument_finding(contradiction: Contradiction) -> Finding:
+    """The finding of a constant that contradicts what else is known of its instrument."""
+    p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.evidence)))
+    chances: dict[str, float] = {}
+    for constant, share in contradiction.rivals.items():
+        chances[_effect_of(constant)] = chances.get(_effect_of(constant), 0.0) + off * share
+    estimate, (probability, rivals) = (
+        Estimate.of(p, contradiction.difference, contradiction.sigma),
+        among(chances, _effect_of(p)),
+    )
+    others = " or ".join(other.name.replace("-", " ") for other in contradiction.rivals if other != p)
+    owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
+    ambiguity = f" These readings tell it little apart from {others}." if others else ""
+    sentence = (
+        f"The {p.name.replace('-', ' ')} of {owners} differs by "
+        f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
+        f"probability {percent(off)}.{ambiguity}"
+    )
+    drop = (contradiction.difference / contradiction.sigma) ** 2
+    return Finding(
+        effect=_effect_of(p),
+        known=True,
+        where=place_of(instruments=tuple(filter(None, contradiction.instruments))),
+        parameters=(estimate,),
+        evidence=Evidence(
+            chi2_drop=drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_located=off
+        ),
+        sentence=sentence,
+        equivalents=rivals,
+    )
+
+
+def _effect_of(constant: Parameter) -> str:
+    """The effect of the ordinary calibration that a constant belongs to."""
+    return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
+
+
+EFFECTS = {
+    ("constant-offset", "distance"): "range-offset",
+    ("constant-offset", "elevation"): "vertical-index",
+    ("scale-error", "distance"): "range-scale",
+    ("orientation", "azimuth"): "station-bump",
+    ("station-bump", "position"): "station-bump",
+    ("station-drift", "position"): "station-settling",
+    ("target-moved", "position"): "target-moved",
+    ("reflector-radius", "position"): "smr-offset",
+    ("names", "position"): "target-swap",
+    ("unit", "position"): "wrong-unit",
+    ("height", "position"): "outlier",
+}
+"""Catalogue effect of a cause, by its kind and what it acts on; `outlier` and `unknown` for the others."""
+
+
+def finding_of(test: Test) -> Finding:
+    """The finding of a test that was accepted."""
+    name = "outlier" if test.kind == "outlier" else EFFECTS.get((test.kind, test.acts_on), "unknown")
+    observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
+    rows: tuple[Estimate, ...] = ()
+    if test.estimate is not None:
+        rows = (Estimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
+    formula = f"the {test.acts_on} of {', '.join((*test.where.stations, *test.where.targets))} is wrong"
+    wrong = test.kind == "reference-value"
+    return Finding(
+        effect=name,
+        known=name != "unknown",
+        where=place_of(observables=observables, stations=test.where.stations, targets=test.where.targets),
+        parameters=rows,
+        evidence=Evidence(
+            chi2_drop=test.statistic, parameters=test.dof, p_value=test.p_value, probability=test.probability or 1.0
+        ),
+        sentence=test.sentence,
+        equivalents=tuple(
+            Equivalent(effect=EFFECTS.get((a.kind, "position"), a.kind), probability=a.probability)
+            for a in test.alternatives
+        ),
+        formula=formula if wrong else "",
+        carrier=f"reference {test.acts_on}" if wrong else "",
+    )
