@@ -36,7 +36,7 @@ def test_predicted_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert run(["accept", str(file), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "passes all 74 tests with a chance of" in said
-    assert "No test sees azimuth-second-order-cos, elevation-eccentricity-cos" in said
+    assert "No test detects azimuth-second-order-cos, elevation-eccentricity-cos" in said
     content = json.loads((tmp_path / "out" / "accept.json").read_text())
     assert len(content["tests"]) == 74
     assert run(["report", str(tmp_path / "out")]) == 0

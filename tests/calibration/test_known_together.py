@@ -40,7 +40,7 @@ def test_a_single_face_tells_the_index_with_others_and_the_file_and_page_say_so(
         assert told.sigma is not None and told.sigma * 1e-6 < alone * 10
     lt.write(recording, tmp_path / "rec")
     assert run(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "cal")]) == 0
-    assert "Together they are known far better than each of them" in capsys.readouterr().out
+    assert "The combination is determined far better than its single parameters" in capsys.readouterr().out
     content = json.loads((tmp_path / "cal" / "calibration.json").read_text())
     assert any("vertical-index" in entry["combination"] for entry in content["determined"])
     assert run(["report", str(tmp_path / "cal"), "-q"]) == 0

@@ -64,7 +64,7 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
         sweep.plot("target_error_um", "angle_noise_arcsecs")
     with pytest.raises(ModelError, match=r"several cells at one place.*faces"):
         sweep.plot("target_error_um", "angle_noise_arcsec")
-    with pytest.raises(ModelError, match="along a factor, here faces or angle_noise_arcsec"):
+    with pytest.raises(ModelError, match="give a factor of the campaign: faces or angle_noise_arcsec"):
         sweep.plot("target_error_um")
     with pytest.raises(ModelError, match="no level of faces called '3'; did you mean 1, 2"):
         sweep.plot("target_error_um", "angle_noise_arcsec", faces=3)
@@ -176,7 +176,7 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
         floors = [row[-2] for row in tables[title].rows]
         means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]
         assert [floor.partition(" ")[0] for floor in floors] == means
-    (listed,) = (block for block in blocks if block.title == "What the statistics mean")
+    (listed,) = (block for block in blocks if block.title == "Definitions of the statistics")
     meanings = listed.text.splitlines()
     assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
     assert all(line.partition("]: ")[2] for line in meanings)

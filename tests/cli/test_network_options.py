@@ -30,9 +30,9 @@ def source(tmp_path_factory) -> Path:
 def test_robust_and_noise_are_printed_and_written(source: Path, tmp_path: Path, capsys) -> None:
     assert run(["calibrate", str(source), "--robust", "--noise-from-data", "--out", str(tmp_path / "cal")]) == 0
     text = capsys.readouterr().out
-    assert "the noise was estimated from the same readings, which leaves nothing to test" in text
+    assert "the noise was estimated from the same readings, so that the global test does not apply" in text
     assert "2 readings did not fit and were left out" in text
-    assert "Noise found from the readings" in text
+    assert "Noise estimated from the readings" in text
     rows = [line.split() for line in text.splitlines()]
     assert [row[0] for row in rows if "yes" in row] == ["21", "151"]  # left out
     content = json.loads((tmp_path / "cal" / "calibration.json").read_text())
@@ -47,7 +47,7 @@ def test_without_the_options_the_summary_says_which_test_to_trust(source: Path, 
     assert run(["calibrate", str(source)]) == 0
     text = capsys.readouterr().out
     assert "Trust the " in text
-    assert "leave them out (--robust)" in text
+    assert "or reject with --robust" in text
 
 
 @pytest.mark.parametrize("verb", ["adjust", "calibrate"])
@@ -127,11 +127,11 @@ def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings
     assert run(["report", str(fitted), "-q"]) == 0
     name = json.loads((fitted / "calibration.json").read_text())["effects"][0]["effect"]
     page = (fitted / "report.html").read_text(encoding="utf-8")
-    assert "Estimated beside the calibration" in page
+    assert "Effects estimated with the calibration" in page
     assert f"{name}: " in page
     capsys.readouterr()
     assert run(["correct", str(source), "--calibration", str(fitted), "--out", str(tmp_path / "rec3")]) == 0
-    assert f"not taken out of the readings: {name}" in capsys.readouterr().err
+    assert f"not removed from the readings: {name}" in capsys.readouterr().err
 
 
 def test_a_history_of_recordings_treats_each_alike(source: Path, tmp_path: Path, capsys) -> None:

@@ -60,7 +60,7 @@ def test_a_calibration_estimates_noise_that_is_stated_too_large(
     assert run(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
     assert "times as much as stated, which only the noise does: it is estimated" in said.err
-    assert "leaves nothing to test" in said.out and "two-sided p <" not in said.out
+    assert "the global test does not apply" in said.out and "two-sided p <" not in said.out
     worth = json.loads((tmp_path / "out" / "calibration.json").read_text())["correction"]
     assert worth["noise_um"] == pytest.approx(11.5, rel=0.1)  # of the noise that the readings have
 

@@ -59,6 +59,6 @@ def test_convert_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     printed = capsys.readouterr().out
     for topic, words in summary(read(tmp_path / "a.csv")).items():
         assert f"  {topic:9}  {words}" in printed
-    assert "2 notes above say what was decided" in printed
+    assert "see the 2 notes above" in printed
     assert run(["convert", str(tmp_path / "a.csv"), str(tmp_path / "out"), "--force", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["summary"]["faces"] == "face 1 only"

@@ -101,7 +101,7 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
     }  # fmt: skip
     (place / "truth.json").write_text(json.dumps(truth))
     content = document(place)
-    assert content.answer.startswith("On purpose, station-settling (S3) was hidden")
+    assert content.answer.startswith("This recording is simulated, with station-settling (S3) injected on purpose")
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
     rows = {row[0]: row[1:] for row in table.rows}

@@ -99,7 +99,7 @@ def test_calibration_says_what_changed(contents: dict[str, Document]) -> None:
     titles = [block.title for block in content.blocks]
     assert {"Instrument parameters", "Targets"} <= set(titles)
     every = [block.title for section in contents["."].sections for block in section.blocks]
-    assert every.count("Residuals against what they might depend on") == 1  # in the diagnosis, which explains them
+    assert every.count("Residuals over covariates") == 1  # in the diagnosis, which explains them
 
 
 def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
@@ -128,7 +128,7 @@ def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> No
 
 def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
     titles = [block.title for block in contents["diagnosis"].sections[0].blocks]
-    assert {"What finding 1 does", "Finding 1 in figures", "Fit before and after"} <= set(titles)
+    assert {"Effect of finding 1", "Finding 1 in figures", "Fit before and after"} <= set(titles)
 
 
 def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Pa
     (target / "diagnosis.json").write_text(json.dumps(told))
     shown = document(target)
     titles = [block.title for block in shown.sections[0].blocks]
-    assert "Where finding 1 is" in titles and "What finding 1 does" not in titles
+    assert "Place of finding 1" in titles and "Effect of finding 1" not in titles
     assert shown.actions[0].startswith(f"Exchange the names {first}, {second} at S3")
 
 
@@ -216,7 +216,7 @@ def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
         "Over 60 trials in each of 2 settings of noise factor, calibration improves the distance"
     )
     titles = [block.title for block in content.sections[0].blocks]
-    assert {"Distance criterion, improvement", "How the trials ended", "z-scores of the parameters"} <= set(titles)
+    assert {"Distance criterion, improvement", "Convergence of the trials", "z-scores of the parameters"} <= set(titles)
     assert any(title.startswith("Coverage: network") for title in titles)
     html = render(content)
     assert "Seed 11." in html
@@ -228,7 +228,7 @@ def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     section = document(samples.sweep_folder(tmp_path / "sweep")).sections[0]
     assert "in each of 27 settings of targets, angle noise and repeats," in section.answer
     assert (
-        "Targets err least with" in section.answer
+        "The error of the targets is smallest with" in section.answer
         and "(targets 24, angle noise 0.2 arcsec, repeats 4)" in section.answer
     )
     pictures = {block.title: block for block in section.blocks if block.kind == "picture"}
@@ -239,7 +239,7 @@ def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     varied = tables["What was varied"].rows
     assert varied[1][:2] == ["angle noise [arcsec]", "0.2, 0.4, 0.8"]
     assert varied[2][2:] == ["work.repeats", "Number of rounds."]
-    ends = tables["How the trials ended"]
+    ends = tables["Convergence of the trials"]
     assert list(ends.header[:4]) == ["targets", "angle noise [arcsec]", "repeats", "method"]
     assert len({tuple(row[:3]) for row in ends.rows}) == 27
 
@@ -256,10 +256,10 @@ def test_damaged_campaign_is_refused(tmp_path: Path) -> None:
 def test_plan_shows_where_the_tripod_goes(tmp_path: Path) -> None:
     content = document(samples.plan_folder(tmp_path / "plan"))
     blocks = {block.title: block for block in content.sections[0].blocks}
-    table = blocks["Where to put the tripod"]
+    table = blocks["Places of the tripod"]
     assert table.kind == "table"
     assert [row[0] for row in table.rows] == ["S1", "S2", "S3", "S4", "S5"]
-    wanted = {"Floor plan", "The workshop in 3D", "Cost against quality: instrument", "Why this plan"}
+    wanted = {"Floor plan", "The workshop in 3D", "Time against quality: instrument", "Reasons for this plan"}
     assert wanted <= set(blocks)
     assert "Seed 5." in render(content)
 
@@ -269,8 +269,8 @@ def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None
     assert content.answer.startswith("Over 3 calibrations from jan to sep the instrument has changed since the first")
     assert content.mood == "bad"
     blocks = {block.title: block for block in content.sections[0].blocks}
-    assert {"Course of the parameters", "Parameters", "Has it changed?", "Fits of the calibrations"} == set(blocks)
-    changes = blocks["Has it changed?"]
+    assert {"Course of the parameters", "Parameters", "Changes between calibrations", "Fits of the calibrations"} == set(blocks)
+    changes = blocks["Changes between calibrations"]
     assert changes.kind == "table"
     assert [row[:2] for row in changes.rows] == [["jan", "may"], ["may", "sep"], ["jan", "sep"]]
     assert changes.marked == {1, 2}
@@ -293,7 +293,7 @@ def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
     best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
     begin = best["do"] if best["distinguishes"] else "nothing that was tried tells range-step from station-weather"
     assert content.answer.lower().startswith(begin.lower())
-    assert "What would decide" in [block.title for block in content.sections[0].blocks]
+    assert "Separation of the alternatives" in [block.title for block in content.sections[0].blocks]
 
 
 def test_damaged_history_and_proposals_are_refused(tmp_path: Path) -> None:
@@ -318,13 +318,13 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     assert "1 reading did not fit and were left out" not in content.answer
     assert "1 reading did not fit and was left out" in content.answer
     blocks = {block.title: block for block in content.sections[0].blocks}
-    noise, gone = blocks["Noise found from the readings"], blocks["Readings that do not belong"]
+    noise, gone = blocks["Noise estimated from the readings"], blocks["Outlying readings"]
     assert noise.kind == gone.kind == "table"
     assert [row[0] for row in noise.rows] == ["distance", "azimuth", "elevation"]
     assert [row[-1] for row in gone.rows] == ["yes"]
     plain = calibrate_network(made.with_readings(readings), advise=False)
     write_calibration(plain, tmp_path / "plain")
-    note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Which test to trust")
+    note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Verdict")
     assert note.kind == "note"
     assert note.text.startswith("Trust the ")
 
@@ -353,7 +353,7 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     (tmp_path / "check.json").write_text(content.text())
     (section,) = document(tmp_path).sections
     assert section.actions == [
-        "Find out why the stations disagree: ltsim diagnose names what is missing from the model."
+        "Run ltsim diagnose to locate the disagreement of the stations."
     ]
 
 
@@ -370,8 +370,8 @@ def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> No
 def test_targets_without_a_height_are_told_in_plan() -> None:
     known, open_ = [1e-6, 2e-6, 2e-6], [3e-3, 4e-3, np.nan]
     assert targets_in_words(np.array([known, known])) == (
-        "A target is known to U = 6.0 um (k = 2) in space, the worst to 6.0 um."
+        "Expanded uncertainty of a target in space: U = 6.0 um (k = 2), 6.0 um for the worst."
     )
     said = targets_in_words(np.array([known, open_, open_]))
-    assert said == "A target is known to U = 10000 um (k = 2) in plan, the worst to 10000 um."
+    assert said == "Expanded uncertainty of a target in plan: U = 10000 um (k = 2), 10000 um for the worst."
     assert not targets_in_words(np.full((2, 3), np.nan))
