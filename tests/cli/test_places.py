@@ -163,7 +163,7 @@ def test_somebodys_folder_is_not_written_into(
     (tmp_path / "data.json").write_text("[1, 2]")
     arguments = [{"REC": str(made / "rec"), "CAL": str(made / "cal")}.get(word, word) for word in verb]
     said = refused([*arguments, "--out", str(tmp_path)], capsys)
-    assert "data.json, thesis.txt, which ltsim did not write" in said
+    assert "data.json, thesis.txt, which ltsim did not create" in said
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data.json", "thesis.txt"]
 
 
