@@ -204,7 +204,7 @@ def test_broken_input_gets_a_sentence_and_no_page(name: str, text: str, words: s
 
 
 def test_nothing_to_report_is_said(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="nothing to report"):
+    with pytest.raises(RecordError, match="contains no results"):
         report(tmp_path)
     with pytest.raises(RecordError, match="no such folder"):
         report(tmp_path / "missing")
@@ -233,7 +233,7 @@ def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     )
     pictures = {block.title: block for block in section.blocks if block.kind == "picture"}
     words = pictures["Distance criterion, improvement"].caption
-    assert "The paper's 40.1 (dashed)" in words and "90 % of trials" in words
+    assert "The published value 40.1 is dashed" in words and "90 % of trials" in words
     assert "Error of the targets" in pictures
     tables = {block.title: block for block in section.blocks if block.kind == "table"}
     varied = tables["What was varied"].rows
@@ -342,7 +342,7 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     write_check(check(samples.recording()), tmp_path, {})
     (section,) = document(tmp_path).sections
     (table,) = (block for block in section.blocks if block.kind == "table")
-    assert list(table.header)[:3] == ["station", "test", "what was found"]
+    assert list(table.header)[:3] == ["station", "test", "result"]
     assert len(table.rows) == int(section.facts[0].value)
     assert (
         section.title.startswith("Check in the field: ") and section.answer.startswith("Go: ") and not section.actions
