@@ -366,8 +366,10 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
     (drawn,) = (line for line in sweeps.coverage(rows).axes[0].lines if line.get_color() == style.RED)
     assert sweeps.uncovered(rows) == [i in drawn.get_ydata() for i in range(6)] == [i in (1, 3) for i in range(6)]
     words = coverage_words(rows)
-    assert words.endswith("Red: the interval lies outside the allowed band of 93.5 to 96.5 % for parameter-1, parameter-3.")
-    assert "None is red" in coverage_words(rows[:1])
+    assert words.endswith(
+        "Red: the interval lies outside the allowed band of 93.5 to 96.5 % for parameter-1, parameter-3."
+    )
+    assert "No parameter is red" in coverage_words(rows[:1])
 
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:

@@ -233,7 +233,7 @@ def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     )
     pictures = {block.title: block for block in section.blocks if block.kind == "picture"}
     words = pictures["Distance criterion, improvement"].caption
-    assert "The published value 40.1 is dashed" in words and "90 % of trials" in words
+    assert "The published value 40.1 is dashed" in words and "90 % of the trials" in words
     assert "Error of the targets" in pictures
     tables = {block.title: block for block in section.blocks if block.kind == "table"}
     varied = tables["What was varied"].rows
@@ -269,7 +269,12 @@ def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None
     assert content.answer.startswith("Over 3 calibrations from jan to sep the instrument has changed since the first")
     assert content.mood == "bad"
     blocks = {block.title: block for block in content.sections[0].blocks}
-    assert {"Course of the parameters", "Parameters", "Changes between calibrations", "Fits of the calibrations"} == set(blocks)
+    assert {
+        "Course of the parameters",
+        "Parameters",
+        "Changes between calibrations",
+        "Fits of the calibrations",
+    } == set(blocks)
     changes = blocks["Changes between calibrations"]
     assert changes.kind == "table"
     assert [row[:2] for row in changes.rows] == [["jan", "may"], ["may", "sep"], ["jan", "sep"]]
@@ -352,9 +357,7 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
     (tmp_path / "check.json").write_text(content.text())
     (section,) = document(tmp_path).sections
-    assert section.actions == [
-        "Run ltsim diagnose to locate the disagreement of the stations."
-    ]
+    assert section.actions == ["Run ltsim diagnose to locate the disagreement of the stations."]
 
 
 def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> None:
