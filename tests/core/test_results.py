@@ -96,7 +96,7 @@ def test_a_result_gives_its_tables_by_name():
     assert "<td>1000.123 +- 0.012</td>" in cloud._repr_html_()
     with pytest.raises(ModelError, match="no table of a Cloud called 'point'; did you mean points"):
         cloud.table("point")
-    with pytest.raises(ModelError, match="a Cloud has no picture"):
+    with pytest.raises(ModelError, match="a Cloud has no figure"):
         cloud.plot()
 
 
@@ -232,5 +232,5 @@ def test_what_has_no_table_says_so():
 
 
 def test_what_has_no_picture_says_so(kept):
-    with pytest.raises(ModelError, match="has no picture"):
+    with pytest.raises(ModelError, match="has no figure"):
         kept["catalogue"].plot()

@@ -206,7 +206,7 @@ def test_broken_input_gets_a_sentence_and_no_page(name: str, text: str, words: s
 def test_nothing_to_report_is_said(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="contains no results"):
         report(tmp_path)
-    with pytest.raises(RecordError, match="no such folder"):
+    with pytest.raises(RecordError, match="does not exist"):
         report(tmp_path / "missing")
 
 

@@ -95,7 +95,7 @@ def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: wor
     words = {}
     for points in (scene.points, places):
         plotter, legend = scene3d.build(replace(scene, points=points))
-        words[points is places] = next((line for line in legend.lines if line.startswith("names left out")), "")
+        words[points is places] = next((line for line in legend.lines if line.startswith("omitted names")), "")
         plotter.close()
     assert scene.targets[1] in words[True]
     assert scene.targets[0] not in words[True]

@@ -155,8 +155,8 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ([], "either a scenario or a recording, or --plan FILE"),
-        (["paper-workshop", "--plan", "hall.toml"], "either a scenario or a recording, or --plan FILE"),
+        ([], "needs a scenario, a recording, or --plan FILE"),
+        (["paper-workshop", "--plan", "hall.toml"], "needs a scenario, a recording, or --plan FILE"),
         (["--plan", "nowhere.toml"], "there is no such file"),
         (["--plan", "hall.toml", "--out", "taken"], "exists already"),
     ],

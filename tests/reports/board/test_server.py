@@ -167,7 +167,7 @@ BODIES = {
 def test_a_body_that_makes_no_sense_is_a_problem_and_the_board_goes_on(kind: str, name: str, board: Open) -> None:
     status, content = board.request(name, BODIES[kind])
     assert status in (200, 400)
-    assert json.loads(content)["problem"] and "fault of ltsim" not in json.loads(content)["problem"]
+    assert json.loads(content)["problem"] and "internal error of ltsim" not in json.loads(content)["problem"]
     assert not board.folder.exists()
     assert board.lives
 
