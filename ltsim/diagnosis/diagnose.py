@@ -289,7 +289,7 @@ def _report(
     return Diagnosis(
         verdict=verdict,
         summary=summarise(
-            verdict, findings, detection.p_value, before, after, untold=len(explained.withheld) + len(likely[room:])
+            verdict, findings, detection.p_value, before, after, withheld=len(explained.withheld) + len(likely[room:])
         ),
         statistic=baseline.chi2,
         dof=baseline.dof,

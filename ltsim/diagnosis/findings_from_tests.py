@@ -1,4 +1,4 @@
-"""Findings that need no search: mistakes, known values and constants that contradict what else is known."""
+"""Findings from tests, without the search: mistakes, reference values and constants that contradict the rest."""
 
 import numpy as np
 
@@ -34,18 +34,18 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
 
 DATUM = {
     "point": "known coordinates",
-    "axes": "stated coordinates",
+    "axes": "declared coordinates",
     "difference": "known difference",
     "length": "known length",
     "level": "level",
     "yaw": "azimuth zero",
-    "mark": "place of the stand",
+    "mark": "position of the stand",
 }
 """Name of the erroneous item for each kind of reference value."""
 
 
 def reference_value_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
-    """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
+    """Finding of a reference value that contradicts the rest."""
     recording = adjustment.recording
     joined = test.name.partition("#")[0].split("-") if test.kind in ("length", "difference") else []
     ends = (test.name, *joined)
@@ -76,7 +76,7 @@ def reference_value_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
 
 
 def instrument_finding(contradiction: Contradiction) -> Finding:
-    """The finding of a constant that contradicts what else is known of its instrument."""
+    """Finding of a constant that contradicts the other instruments, its history or a declared correction."""
     p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.evidence)))
     chances: dict[str, float] = {}
     for constant, share in contradiction.rivals.items():
@@ -87,7 +87,7 @@ def instrument_finding(contradiction: Contradiction) -> Finding:
     )
     others = " or ".join(other.name.replace("-", " ") for other in contradiction.rivals if other != p)
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
-    ambiguity = f" These readings tell it little apart from {others}." if others else ""
+    ambiguity = f" These readings hardly distinguish it from {others}." if others else ""
     sentence = (
         f"The {p.name.replace('-', ' ')} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "

@@ -1,6 +1,6 @@
-"""A law in all its forms: the curve, short formulas, steps and ramps, everywhere alike or another at each set-up.
+"""Functional forms of a law: curve, short formulas, steps and ramps, common to all set-ups or separate for each.
 
-What is scored at once is a rough sight of a law; here the few that stand out are computed exactly.
+Screening scores a law by one form; the best few laws are evaluated here in all forms, without approximation.
 """
 
 from dataclasses import replace
@@ -20,13 +20,13 @@ from ltsim.physics.laws.names import name_of
 from ltsim.scene.sightings import Sightings
 
 MOST_PIECES, EARLY_STOP = 10, 3
-"""Steps and ramps at most, and those that are tried beyond the best."""
+"""Largest number of steps and ramps, and of those tried after the evidence has last risen."""
 
 
 def evaluate_forms(
     exact: EvidenceCalculator, law: Law, log_prior: float, base: Model, *, pieces: bool
 ) -> list[Hypothesis]:
-    """A law computed exactly in all its forms: of each name the likeliest, with the evidence of all that have it."""
+    """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
     sightings = exact.space.sightings
     law = law.as_constant(sightings)
     whole = log_prior + float(np.log(len(law.driver.spreads)))
@@ -61,7 +61,7 @@ def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> li
 
 
 def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """The law made of a few steps and ramps, chosen one after another while the evidence rises."""
+    """Law made of a few steps and ramps, by forward selection while the evidence rises."""
     atoms = law.atoms(exact.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
@@ -86,11 +86,11 @@ def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -
 
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
-"""Points at which a curve is written down, those of each cycle of a wave, and at most."""
+"""Number of points of a reported curve, of each cycle of a wave, and the largest number."""
 
 
 def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
-    """The curve at the set-up where the law does most, and in that direction; None where it follows several covariates.
+    """Curve at the set-up and in the direction of the largest response; None with several covariates.
 
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
     """

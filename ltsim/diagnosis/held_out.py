@@ -1,14 +1,14 @@
-"""Error on readings that neither the fit nor the search has seen: the whole search is repeated without each fold.
+"""Cross-validated prediction error: the whole search is repeated without each fold of the readings.
 
 Pointings are dealt into five folds. Without a fold's readings the adjustment predicts them with the error
 e = P_FF^-1 r_F of covariance P_FF^-1, in whitened units, P the projector of the whole network and r its residuals.
-Effects, places, shapes and sizes are then searched in the rest alone, and what is found there is taken out of all
+Effects, places, shapes and sizes are then estimated from the rest alone, and their model is subtracted from all
 readings before the fold is predicted again. Both errors are measured by e' P_FF e, the covariance of the plain
-prediction: 1 per reading where model and noise hold. A spurious finding does not predict what its search has not seen.
+prediction: 1 per reading where model and noise hold. A spurious finding does not predict held-out readings.
 
-Leaving readings out is estimating an error of its own for each of them: the residual space without a fold is that of
-the network extended by the unit columns of its readings. Only the weights of the readings, changes of the noise among
-them, are those of the whole recording.
+Excluding readings is equivalent to estimating a separate error for each of them: the residual space without a fold is
+that of the network extended by the unit columns of its readings. Only the weights of the readings, changes of the noise
+among them, are those of the whole recording.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ from ltsim.diagnosis.search import Searcher
 
 FOLDS = 5
 PREDICTED = 1e-6
-"""Directions with less redundancy than this are not predicted by the rest of the network at all."""
+"""Directions with less redundancy than this are not predicted by the rest of the network (rounding)."""
 
 
 class HeldOut(NamedTuple):
-    """Root mean square errors in standard deviations: of the plain adjustment, and with what is found without a fold.
+    """Root mean square errors in standard deviations: of the adjustment alone, and with the model of a fold.
 
-    None where nothing was left out, or nothing can be predicted; `after` too where no search was made.
+    None where nothing can be predicted; `after` also without a search.
     """
 
     before: float | None = None
@@ -38,16 +38,16 @@ class HeldOut(NamedTuple):
 
 
 def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, threshold: float = 0.0) -> HeldOut:
-    """Errors on readings that are left out and predicted.
+    """Prediction errors on held-out readings.
 
     Parameters
     ----------
     space : ResidualSpace
-        Its whitening is the yardstick.
+        Its whitening defines the unit of the errors.
     seed : int
         Of the folds.
     searcher : Searcher, optional
-        Of the same readings, perhaps otherwise weighted; without one nothing is searched.
+        Search on the same readings; without one only `before` is given.
     threshold : float
         Log evidence of a second and further finding.
     """
@@ -81,7 +81,7 @@ def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
 
 
 def _shift(space: ResidualSpace, searcher: Searcher, threshold: float) -> Floats:
-    """Change (m,) of all whitened readings by what a search finds."""
+    """Shift (m,) of all whitened readings by the model that a search selects."""
     model = searcher.search(threshold, something=True)
     if not model.members:
         return np.zeros(space.size)

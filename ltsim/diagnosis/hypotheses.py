@@ -1,4 +1,4 @@
-"""Hypotheses, sets of findings, rankings: what a search handles."""
+"""Hypotheses, models (sets of hypotheses), and rankings of hypotheses given a model."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from ltsim.physics.effects.signature import Tunable
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One thing that may be missing from the model, and the log prior of its place and shape.
+    """One possible cause of a misfit, and the log prior of its place and shape.
 
     Attributes
     ----------
     effect : Tunable
     log_prior : float
     value : float
-        Log evidence beside what was found when it was examined, prior and shapes included.
+        Log evidence given the model at its evaluation, prior and shapes included.
     name : str
-        Tunable id, or `unknown`.
+        Id of the catalogue effect, or `unknown`.
     """
 
     effect: Tunable
@@ -44,7 +44,7 @@ class Hypothesis:
 
     @property
     def is_catalogued(self) -> bool:
-        """Whether the catalogue has a card for it."""
+        """True if it is an effect of the catalogue."""
         return self.name != "unknown"
 
     @property
@@ -55,17 +55,17 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Model:
-    """A set of findings; columns and residual beside it are computed where they are asked for.
+    """A model: a set of hypotheses; its basis and residual are computed on demand.
 
     Attributes
     ----------
     members : tuple of Hypothesis
-    left : tuple of (m, k) float
-        What the adjustment leaves of their signatures.
+    projected : tuple of (m, k) float
+        Their signatures, projected onto the residual space.
     norms : tuple of (k,) float
-        Lengths of the signatures' columns before that.
-    whole : (m,) float
-        What is left beside nothing.
+        Lengths of the signatures' columns before the projection.
+    baseline_residual : (m,) float
+        Residual of the empty model.
     """
 
     members: tuple[Hypothesis, ...]
@@ -80,26 +80,26 @@ class Model:
 
     @cached_property
     def basis(self) -> Floats:
-        """(m, e): orthonormal columns of all members."""
+        """Orthonormal basis (m, e) of the projected signatures."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal(np.hstack(self.projected), np.concatenate(self.norms))
 
     @cached_property
     def residual(self) -> Floats:
-        """(m,): what is left beside the members."""
+        """Residual (m,) with the members modelled."""
         residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
         return residual
 
     @cached_property
     def products(self) -> tuple[Floats, Floats]:
-        """Products (k, k) of what is left of all signatures with each other, and (k,) with the residual."""
+        """Gram matrix (k, k) of the projected signatures, and their products (k,) with the baseline residual."""
         projected = np.hstack(self.projected)
         return projected.T @ projected, projected.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
-        """Log evidence that what is left may show because the curve of an unknown law is not quite right."""
+        """Log evidence that the discrepancy of an empirical law may produce; a further effect must exceed it."""
         if all(h.is_catalogued for h in self.members):
             return 0.0
         norms = np.concatenate(self.norms)
@@ -111,7 +111,7 @@ class Model:
 
     @cached_property
     def score(self) -> float:
-        """Log evidence of the set, the sizes of all members averaged, priors and misfit counted."""
+        """Log evidence of the model, averaged over sizes, with priors and the discrepancy penalty."""
         if not self.members:
             return 0.0
         likeness = sum(log_odds_repeated(h, self.members[:i]) for i, h in enumerate(self.members))
@@ -120,20 +120,21 @@ class Model:
 
 
 MISFIT = 0.05
-"""Share of its square to which a law that nobody knows is drawn: what is left of it is no further cause."""
+"""Relative model error assumed for an empirical law: this fraction of the chi-square that it explains is not attributed
+to a second effect."""
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Hypotheses beside a set in the order of their evidence.
+    """Hypotheses given a model, in the order of their evidence.
 
     Attributes
     ----------
     entries : tuple of Hypothesis
     total : float
-        Log sum over them, the first computed exactly.
-    outside : float
-        Log evidence of a cause that nobody listed.
+        Log sum over them, the first ones evaluated without approximation.
+    log_evidence_unmodelled : float
+        Log evidence of an unmodelled cause.
     """
 
     entries: tuple[Hypothesis, ...]
@@ -141,40 +142,40 @@ class Ranking:
     log_evidence_unmodelled: float = -np.inf
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
-        """The ranking with further hypotheses in it."""
+        """Ranking with further hypotheses."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
         total = float(log_sum_exp(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total)
 
     def with_unmodelled_cause(self, likeness: float) -> Ranking:
-        """The ranking with a cause in it that nobody listed, by the log ratio of its likelihood to that of the best."""
+        """Ranking with an unmodelled cause, whose log Bayes factor against the best hypothesis is `likeness`."""
         return replace(
             self, log_evidence_unmodelled=self.total + likeness + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED)))
         )
 
     def name(self) -> str:
-        """The likeliest name."""
+        """Most probable name."""
         return likeliest(self.probabilities())
 
     @cached_property
     def weights(self) -> Floats:
-        """Posterior probability (k,) of each among everything that was tried, nothing at all included."""
+        """Posterior probability (k,) of each among all hypotheses and none."""
         logs = np.array([h.value for h in self.entries])
         probabilities: Floats = np.exp(logs - self._whole)
         return probabilities
 
     @cached_property
     def _whole(self) -> float:
-        """Log sum of all explanations, that nothing is missing among them."""
+        """Log sum of the evidence of all hypotheses and none."""
         return float(np.logaddexp.reduce([*(h.value for h in self.entries), self.log_evidence_unmodelled, 0.0]))
 
     @cached_property
     def p_unmodelled(self) -> float:
-        """Posterior probability of a cause that nobody listed."""
+        """Posterior probability of an unmodelled cause."""
         return float(np.exp(self.log_evidence_unmodelled - self._whole))
 
     def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
-        """Posterior probability of some of them together."""
+        """Posterior probability of the `chosen` hypotheses together."""
         return min(sum(w for h, w in zip(self.entries, self.weights.tolist(), strict=True) if chosen(h)), 1.0)
 
     def probabilities(self) -> dict[str, float]:
@@ -186,19 +187,19 @@ class Ranking:
 
 
 def likeliest(chances: Mapping[str, float]) -> str:
-    """The likeliest name by its probability; `unknown` where that is likelier than all names together."""
+    """Most probable name; `unknown` where that is more probable than all names together."""
     named = {name: chance for name, chance in chances.items() if name != "unknown"}
     return "unknown" if chances.get("unknown", 0.0) > sum(named.values()) else max(named, key=lambda name: named[name])
 
 
 NEGLIGIBLE = 6.0
-"""Log evidence that a size of one member is behind the best, the others at theirs, from which it is left out."""
+"""Grid sizes whose log evidence is this far below the maximum are dropped from the sum (relative error e^-6 each)."""
 
 
 def _over_sizes(model: Model) -> float:
     """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, averaged over all sizes t.
 
-    Only sizes that count are summed: those which are near the best of a member while the others are at their best.
+    Only sizes near the best of a member, with the others at their best, are summed.
     """
     gram, score = model.products
     spread, owner = _spreads(model.members)
@@ -210,7 +211,7 @@ def _over_sizes(model: Model) -> float:
         """Log evidence with prior (b,) at sizes (b, members)."""
         scale = np.pad(SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + unit_prior)
-        fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row is what the factor makes of the residual
+        fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
         size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
         value: Floats = fit - size + LOG_WEIGHTS[sizes].sum(axis=1)
         return value
@@ -234,7 +235,7 @@ def _spreads(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
 
 
 def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
-    """Log odds of a second effect of a kind that hardly comes twice."""
+    """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
     if hypothesis.name not in {h.name for h in others}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).plural else LOG_ODDS_REPEATED

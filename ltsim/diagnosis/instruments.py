@@ -33,14 +33,15 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
-"""Variance in guarantees of a constant that is taken to have changed, when the others are looked at."""
+"""Prior variance, in guarantees, of a constant that is selected as changed while the others are tested."""
 MIN_RIVAL_SHARE = 0.01
-"""Share of the evidence from which another constant may be the one that is off."""
+"""Another constant is reported as an alternative if its share of the evidence exceeds this."""
 MIN_EIGENVALUE = 1e-6
-"""Least eigenvalue of the correlation of changes that the readings tell apart; of others the likelier is told."""
+"""Changes are distinguishable if the smallest eigenvalue of their correlation exceeds this (rounding); of others the
+more probable is reported."""
 TINY = 1e-12
-"""Weight under which nothing is told of a constant."""
-WORDS = {True: "the correction that it is said to have", False: "the other instruments"}
+"""A constant is not tested if its information is below this (rounding)."""
+WORDS = {True: "its declared correction", False: "the other instruments"}
 """Name of the reference that a constant of a corrected instrument, or of others, is compared with."""
 
 
@@ -63,22 +64,22 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A constant of an instrument against what else is known of it.
+    """A constant of an instrument that contradicts its reference.
 
     Attributes
     ----------
     instruments : tuple of str
     parameter : Parameter
     difference, sigma : float
-        [SI], from the others' median, from zero for an instrument that is said to be corrected, or from its history.
+        [SI], from the other instruments, from zero for a corrected instrument, or from its history.
     evidence : float
         Log marginal likelihood ratio, prior odds included.
     p_value : float
-        Chance that any of the constants compared differs by as many standard deviations.
+        Two-sided p-value of the difference, corrected for all constants compared.
     against : str
-        In words.
+        Name of the reference.
     rivals : mapping of Parameter to float
-        Constants that may be off there, this one among them, and the shares of their evidence.
+        Alternative constants of the same instruments, this one included, and their shares of the evidence.
     """
 
     instruments: tuple[str, ...]
@@ -93,7 +94,7 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class Change:
-    """A constant that may be off, of one instrument or of some together.
+    """A possible change of a constant, of one instrument or of several in common.
 
     Attributes
     ----------
@@ -101,9 +102,9 @@ class Change:
         The instruments.
     constant : int
     words : str
-        What it is compared with.
+        Name of the reference.
     further, log_weights : (s,) float, or one
-        Variances that it may have beside the expected one, and the logs of their weights.
+        Variances in addition to the expected one, and the logs of their weights.
     """
 
     owners: tuple[int, ...]
@@ -128,8 +129,8 @@ class Expected:
 def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     """Constants that differ from those of the other instruments, or from zero where the instrument is corrected.
 
-    Of two instruments that differ nobody can say which is off; the one farther from zero is the likelier. What is off
-    in all corrected instruments alike is one change: of what they were compared with, perhaps.
+    Of two instruments that differ the readings do not identify the one in error; the one farther from zero is the more
+    probable. An offset common to all corrected instruments is one change, possibly of their reference.
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
@@ -148,11 +149,11 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
 
 
 def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[Contradiction]:
-    """Constants that are not as expected, each with more than `least` of log evidence beside the others.
+    """Constants that differ from their expectation, each with more than `least` of log evidence given the others.
 
-    One constant after the other, those before as free as a change is; each gives way to one that explains more in its
-    place. The readings alone, without the prior of the adjustment, say N x = b + noise of covariance N. Were x as
-    expected, N(m, V), a change of constant k would be seen with the weight (V + 1/N)^-1[k, k], whatever the others are.
+    Forward selection with exchange, selected constants having the prior variance `CHANGED`. The readings without the
+    prior of the adjustment give N x = b + noise of covariance N. With x ~ N(m, V) expected, the information on a change
+    of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -169,7 +170,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     ways = ways.reshape(len(ways), unit.size)
 
     def logs(others: Collection[int]) -> Floats:
-        """Log evidence (h,) of each change beside others."""
+        """Log evidence (h,) of each change given others."""
         given = ways[list(others)]
         score, weight = score_test(likelihood.information, surprise, expected.covariance + CHANGED * given.T @ given)
         strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
@@ -204,7 +205,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
 def _contradiction(
     adjustment: Adjustment, changes: Sequence[Change], logs: Floats, k: int, gap: float, sigma: float, chance: float
 ) -> Contradiction:
-    """A change in the words of the instruments, its gap and deviation [SI], beside what rivals it."""
+    """Contradiction of a change, with its difference and standard deviation [SI] and its alternatives."""
     change, parameters = changes[k], adjustment.construction.parameters
     rivals = [i for i, other in enumerate(changes) if other.owners == change.owners]
     share = shares(logs[rivals])
@@ -225,7 +226,7 @@ def _contradiction(
 
 
 def _change(gap: float, variance: Floats | float, weights: Floats | float) -> float:
-    """Log evidence of a change behind a gap, averaged over its variances (s,) by the logs of their weights."""
+    """Log evidence of a change from its estimate, averaged over variances (s,) with log weights (s,)."""
     variance, weights = np.atleast_1d(variance), np.atleast_1d(weights)
     unchanged = weights - 0.5 * (gap**2 / variance + np.log(variance))
     changed = unchanged + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
@@ -233,11 +234,11 @@ def _change(gap: float, variance: Floats | float, weights: Floats | float) -> fl
 
 
 MIN_INFORMATION = 1e-3
-"""Information on a constant, in guarantees, that earlier calibrations have at least."""
+"""Lower bound on the information of earlier calibrations on a constant, in guarantees (avoids division by zero)."""
 SCATTERS = np.geomspace(0.05, 1e4, 80)
-"""True variance of a constant over that which a few calibrations show."""
+"""Grid of the true variance of a constant over the sample variance of a few calibrations."""
 PRIOR_DOF = 4
-"""Degrees of freedom that the other constants' spreads are worth: most lie within a factor of two of each other."""
+"""Prior degrees of freedom from the spreads of the other constants (Smyth 2004): most agree within a factor of two."""
 
 
 @dataclass(frozen=True)
@@ -276,12 +277,11 @@ class HistoryExpectation:
         return compared(adjustment, Expected(mean, linalg.block_diag(*covariance), tuple(changes)), least)
 
     def _spreads(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
-        """Variances (k, s) that constants may have beside the expected ones (k, k), and the logs of their weights.
+        """Variances (k, s) of constants in addition to the expected ones (k, k), and the logs of their weights.
 
-        What a few calibrations scatter beyond their own noise is the spread, uncertain itself: they tell the variance
-        of a constant as chi-square, one degree less than there are of them, and the spreads of the other constants, in
-        guarantees, are worth some degrees more (Smyth, Statistical Applications in Genetics 3 (2004) 3). No constant
-        is taken to wander by more than its maker guarantees.
+        The spread of a few calibrations is uncertain: their sample variance is scaled chi-square with one degree of
+        freedom less than their number, and the spreads of the other constants add `PRIOR_DOF` (Smyth, Statistical
+        Applications in Genetics 3 (2004) 3). No spread exceeds the maker's guarantee.
         """
         count = self.earlier.count
         if count == 1:

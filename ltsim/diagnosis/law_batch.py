@@ -1,4 +1,4 @@
-"""A panel of the space: carriers x drivers x places, scored all at once by sums over the pointings of each place.
+"""Batch of laws: response terms x regressors x places, scored by sums over the pointings of each place.
 
 The score of carrier c with driver d at a place is the sum over its pointings of (derivative of c) x (column of d) x
 (residual): one matrix product for the pointings that lie in the same places, however many hypotheses.
@@ -24,18 +24,18 @@ from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import ResponseTerm
 
 CHUNK = 1000
-"""Pointings whose products are held at once."""
+"""Pointings whose products are in memory at a time."""
 PAIRS = 500_000
-"""Products of columns with each other that are held at once: what a cache holds."""
+"""Products of columns with each other in memory at a time: the size of a cache."""
 AT_ONCE = 10_000
-"""Columns at places whose products with all vectors are held at once: memory of some tens of MB."""
+"""Columns at places whose products with all vectors are in memory at a time: some tens of MB."""
 MOST_HITS = 6
-"""Hypotheses a place that are looked at again."""
+"""Largest number of hypotheses per place that are evaluated again."""
 
 
 @dataclass(frozen=True)
 class ScreenedLaw:
-    """One hypothesis of a panel and its log evidence with its prior."""
+    """A screened law and its log evidence with its prior."""
 
     carrier: ResponseTerm
     driver: Regressor
@@ -46,7 +46,7 @@ class ScreenedLaw:
 
 @dataclass(frozen=True)
 class RowPartition:
-    """Pointings that lie in the same places: a sum over a place is that of its cells.
+    """Partition of the pointings into cells that belong to the same places: a place sums its cells.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class RowPartition:
         return cls(order, edges, sp.csr_array(inside[:, first].astype(np.float32)))
 
     def parts(self, most: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """At `most` so many pointings: where they stand in the order, they, and where among them each cell is."""
+        """Chunks of at `most` so many pointings: slice of the order, pointings, and slice of each cell in the chunk."""
         for start in range(0, len(self.order), most):
             end = min(start + most, len(self.order))
             first, last = np.searchsorted(self.edges, [start, end - 1], side="right") - 1
@@ -117,7 +117,7 @@ class LawBatch:
         return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
 
     def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """The hypotheses of every place worth a second look, and the log sums of all: here, and in trials (trials,)."""
+        """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
         count = len(self.drivers)
         step = max(1, AT_ONCE * count // (self.columns.shape[1] * self.weights[0, 0].size * len(self.places)))
         parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
@@ -134,8 +134,8 @@ class LawBatch:
     def _at(self, probe: NullEnsemble, part: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) of some drivers with priors, and its log sum over trials.
 
-        Beside what was found, what the adjustment leaves of a law is taken to be what it left before: too much where
-        the two are alike. Whatever is worth a second look is computed exactly.
+        The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
+        laws are evaluated again without this approximation.
         """
         scores = self._sums(probe, part)
         score, trials, _ = probe.split(scores)
@@ -153,7 +153,7 @@ class LawBatch:
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 
     def _turned(self, gram: Floats, part: slice) -> list[tuple[Floats, Singles]]:
-        """For each scale eigenvalues (P, C, d, k), and what turns scores into those along eigenvectors."""
+        """For each scale eigenvalues (P, C, d, k), and the matrix that turns scores along eigenvectors."""
         turned = []
         for spread in (spread[part] for spread in self._spreads):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])

@@ -1,11 +1,11 @@
-"""Hypotheses about the noise: some readings scatter more (or less) than stated.
+"""Hypotheses about the noise: some readings scatter more (or less) than declared.
 
 With r the whitened residuals, Q an orthonormal basis of what is estimated and W = 1 - 1/s of the variance factors s,
 the restricted likelihood ratio is exactly
     log L = [ r' W r + c' N^-1 c - log|N| - sum log s ] / 2,   N = 1 - Q' W Q,   c = Q' W r.
-Everything is scored by its diagonal form, (r^2 W - k log s) / 2 summed over readings of redundancy k, the recording and
-what it is judged by alike; what stands out is computed exactly where there is a basis. Sizes are averaged over a grid,
-a fine one for what stands out, so these hypotheses compete with mean shifts by the same evidence.
+All are screened by the diagonal form, (r^2 W - k log s) / 2 summed over readings of redundancy k, for the recording and
+the null ensemble in the same way; the best are evaluated without approximation where there is a basis. Sizes are
+averaged over a grid, a fine one for the best, so these hypotheses compete with mean shifts by the same evidence.
 """
 
 from __future__ import annotations
@@ -36,35 +36,31 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
 EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0)
-"""Added variances that are tried, over the stated: of all readings, where a pattern is largest, of some targets. The
-fewer readings have them, the larger they must be to be seen."""
+"""Added variances over the declared: of all readings, at the maximum of a pattern, of targets."""
 MOST_TARGETS = 60
-"""Targets up to whose number each is tried on its own, and those that belong together."""
+"""Single targets and clusters of targets are hypotheses in networks of at most this many targets."""
 COMPARED = 6
-"""Families that are computed exactly, the likeliest of them."""
-TINY = 1e-300
-LEAST_SHARE = 0.05
-"""Redundancy that a mean of repeats has at least."""
+"""Number of families that are evaluated without approximation, the most probable first."""
+TINY, LEAST_SHARE = 1e-300, 0.05
+"""Lower bound on the redundancy of a mean of repeats (its diagonal form may be negative)."""
 FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
-"""Factors on a variance over which amounts are averaged: a tenth apart, for the noise of a thousand readings is known
-to a twentieth; of one among many, those that are clearly more."""
+"""Factors on a variance that are averaged over: steps of a tenth; for one group among many clearly larger ones."""
 FINE = 48
-"""Sizes over which what stands out is averaged: a tenth apart, as `FACTORS`."""
+"""Number of sizes over which the best hypotheses are averaged: steps of a tenth."""
 NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
-"""Shares of all targets, or set-ups, that have more noise than stated."""
+"""Shares of all targets, or set-ups, that have more noise than declared, averaged over."""
 MIN_GROUPS = 4
-"""Targets, or stations, from which noise may differ from one to the next."""
+"""Noise by target, or by station, is a hypothesis if there are at least this many of them."""
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
-"""Points of the grid on which the posterior of a size is summed, deviations it reaches, and how often it is drawn anew:
-sums over a bell curve are exact for spacings up to a deviation and a half, and nine grids shrink to the narrowest one
-there is."""
+"""Points, half-width in deviations and number of the grids on which the posterior of a size is summed: sums of a normal
+density are exact for spacings up to 1.5 deviations."""
 
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A noise effect with parameter values: one point of its grid of sizes; once told, with deviations and evidence."""
+    """A noise effect with sizes: a point of its grid, or estimates with standard deviations and evidence."""
 
     family: str
     effect: NoiseSignature
@@ -84,7 +80,7 @@ class NoiseHypothesis:
 def _patterns(
     sightings: Sightings, trackers: Sequence[Place]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Noise that no effect of the catalogue describes: family, pattern, sizes; of whole observables it is the level."""
+    """Variance functions outside the catalogue: family, function, sizes; that of an observable is the noise level."""
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     observables: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
@@ -102,7 +98,7 @@ def _patterns(
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Every change of the noise with one pattern, by a grid of sizes; that of each of several `instruments` too."""
+    """Every change of the noise with one pattern over a grid of sizes, also for each of several `instruments`."""
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
@@ -113,7 +109,7 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class Amounts:
-    """A change of the noise that has an amount for each of many readings; `members` (g, m): one where a row has one."""
+    """A change of the noise with a variance factor for each of g groups; `members` (g, m) holds their rows."""
 
     effect: NoiseSignature
     members: sp.csr_array
@@ -136,17 +132,17 @@ class Amounts:
 
 
 class Level(Amounts):
-    """The noise of the whole recording: of all readings alike, or of each observable that has another than stated."""
+    """Noise level of the whole recording: common to all observables, or separate for any of them."""
 
     @classmethod
     def of(cls, space: ResidualSpace, *, quieter: bool) -> Level:
-        """With noise that is less than stated, if it may be `quieter`."""
+        """Noise level of a space; below the declared one only if `quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.use)[1]
         members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.size))
         return cls(level, members, FACTORS if quieter else FACTORS[FACTORS > 1.0])
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Half of the chance for one amount, half for any set of observables but none."""
+        """Log evidence: prior one half for a common factor, one half for any nonempty set of observables."""
         common = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
         together = common.averaged(residual, redundancy)[0]
         any_observable = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
@@ -159,11 +155,11 @@ class Level(Amounts):
 
 
 class NoiseByGroup(Amounts):
-    """Noise that differs from one target, or station, to the next: a share of them has more than stated."""
+    """Noise that differs between targets, or stations: a share of them has more than declared."""
 
     @classmethod
     def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
-        """By target and by station, all observables alike and each by itself."""
+        """Hypotheses by target and by station, common to all observables and separate for each."""
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
             names, of = owners_of(space.sightings, each)
@@ -182,7 +178,7 @@ class NoiseByGroup(Amounts):
         return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """The share of those that have an amount averaged."""
+        """Log evidence, averaged over the share of noisy groups."""
         each = self.averaged(residual, redundancy)
         whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE]
         return log_sum_exp(np.stack(whole)) - np.log(len(NOISY_GROUP_SHARE))
@@ -197,11 +193,11 @@ class NoiseBank:
     gain, logs : (h, m + g) csr float32
         1 - 1/s and log s of each row; of each mean for what repeats.
     means : (g, m) csr float
-        What adds up repeats, in each face and then in both.
+        Sums of repeats, in each face and then in both.
     amounts : tuple of Amounts
-        The noise level first, then what differs from each to the next.
+        The noise level first, then noise by group.
     basis : (m, u) float, or None
-        Orthonormal, of what is estimated, where there is one.
+        Orthonormal basis of the estimated parameters, where there is one.
     """
 
     hypotheses: list[NoiseHypothesis]
@@ -218,7 +214,7 @@ class NoiseBank:
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True) -> NoiseBank:
         """Build the bank on a residual space.
 
-        Without `quieter` noise is never less than stated: beside amounts that repeat their differences are small.
+        Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
         """
         repeated = [repeat_means(space, faces) for faces in REPEATS]
         means = sp.csr_array(sp.vstack(repeated))
@@ -255,7 +251,7 @@ class NoiseBank:
         return ratio
 
     def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors, in its diagonal form; what has amounts last."""
+        """Log evidence (families, trials) with priors, in its diagonal form; group hypotheses last."""
         patterns = self._by_family(self.log_likelihood_ratio(residual, redundancy))
         return np.vstack([patterns, *(self._of_amounts(amount, residual, redundancy) for amount in self.amounts)])
 
@@ -263,7 +259,7 @@ class NoiseBank:
         return amount.evidence(residual, redundancy) + self.share(amount.name)
 
     def share(self, family: str) -> float:
-        """Log prior of a family: of noise that the catalogue names, or that no card describes."""
+        """Log prior of a family: noise of the catalogue, or outside it."""
         unknown = [name.startswith("unknown") for name in (*self.families, *(amount.name for amount in self.amounts))]
         return (
             log_share("scatter", sum(unknown))
@@ -276,7 +272,7 @@ class NoiseBank:
         return log_means(ratio, self.family, len(self.families)) + share[:, None]
 
     def exact(self, i: int, residual: Floats, extension: Floats) -> float:
-        """Log restricted likelihood ratio of a hypothesis for residuals (m,) beside further columns (m, e)."""
+        """Log restricted likelihood ratio of a hypothesis for residuals (m,) given a model basis (m, e)."""
         assert self.basis is not None
         rows, logs = self.gain[[i]], self.logs[[i]]
         weight, at, size = rows.data.astype(np.float64), rows.indices, len(residual)
@@ -289,7 +285,7 @@ class NoiseBank:
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.data.sum(dtype=np.float64)))
 
     def _finely(self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a family, the sizes of its likeliest effect averaged finely: each alone, or all of them."""
+        """Log evidence of a family, with a fine grid of sizes of its best effect: each alone, or all of them."""
         effect = self.hypotheses[likeliest].effect
         same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
         tried = np.array([self.hypotheses[i].values for i in members[same].tolist()])
@@ -301,7 +297,7 @@ class NoiseBank:
         return float(log_sum_exp(np.append(ratio[~same], fine)) - np.log(len(members)))
 
     def ranked(self, residual: Floats, redundancy: Floats, extension: Floats) -> list[tuple[float, NoiseHypothesis]]:
-        """Every family in the order of its evidence with prior, exact for the first; each with its likeliest member."""
+        """Families in the order of their evidence with prior, each with its best member."""
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
         evidence = self._by_family(ratio)[:, 0]
         entries = []
@@ -335,13 +331,13 @@ def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
 
 
 def _share_of_means(means: sp.csr_array, share: Floats) -> Floats:
-    """Redundancy (g,) of means: an error common to repeats is absorbed as much as their sum of leverages says."""
+    """Redundancy (g,) of means: the adjustment absorbs an error common to repeats by the sum of their leverages."""
     lost = (means > 0).astype(np.float64) @ (1.0 - share)
     return np.maximum(1.0 - lost, LEAST_SHARE)
 
 
 def _variance_of_mean(means: sp.csr_array, factor: Floats) -> Floats:
-    """Variance (g,) of means whose members share what is above the stated variance: 1 + k v."""
+    """Variance (g,) of means whose members share the variance in excess of the declared one: 1 + k v."""
     padded = np.concatenate([factor, np.ones(means.shape[1] - len(factor))])
     return 1.0 + np.maximum((means > 0).astype(np.float64) @ (padded - 1.0), 0.0)
 
@@ -349,10 +345,10 @@ def _variance_of_mean(means: sp.csr_array, factor: Floats) -> Floats:
 def reml_gain(
     space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """Gain of sizes (k,) of an effect in log restricted likelihood (k,), each by the readings that follow it.
+    """Function from sizes (k,) to the REML gain (k,) of each variance parameter.
 
-    Each reading follows one size at most. Variances are those of the effect on the `stated` (n, 3) ones; residuals (m,)
-    are whitened by the space's own.
+    Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3); residuals
+    (m,) are whitened by those of the space.
     """
     faces, used, scale = getattr(effect, "repeating", ""), space.use, effect.spread
     means = repeat_means(space, faces) if faces else None
@@ -375,11 +371,11 @@ def reml_gain(
 
 
 def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
+    """Hypothesis with estimated sizes, standard deviations, and twice the log restricted likelihood ratio.
 
-    Sizes and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a
-    priori all factors on a variance are alike, by their logarithm. Each size has a posterior of its own (`reml_gain`);
-    one that no reading feels is 0, its deviation infinite.
+    Estimates are posterior means and deviations under a log-uniform prior of the variance factor, since the likelihood
+    of a variance is skew. The posteriors are independent (`reml_gain`); a size without readings is 0 with an infinite
+    standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.spread
     gained = reml_gain(space, nominal, effect, space.residual, space.redundancy)
@@ -397,7 +393,7 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
     gain = gained(values) - gained(0.0 * scale)
-    if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
+    if getattr(effect, "each", ""):  # most groups have none: weighted by the probability that there is one
         values = values * expit(gain + np.log(NOISY_GROUP_SHARE.min() / (1.0 - NOISY_GROUP_SHARE.min())))
         gain = gained(values) - gained(0.0 * scale)
     drop = 2.0 * float(gain.sum())

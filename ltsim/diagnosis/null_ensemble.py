@@ -1,9 +1,9 @@
-"""Vectors by which signatures are judged: what the adjustment leaves of them, and what chance would make of them.
+"""Null ensemble: simulated residuals without any effect, and the basis that projects signatures.
 
-For columns g the Gram matrix g' P g is g' g less the products of g with an orthonormal basis of what is estimated; in a
-large network it is the mean product with simulated residuals, whose covariance is P. These residuals judge nothing:
-given them, the recording's and those of simulated recordings are scored by one and the same function, and without any
-effect all of them are exchangeable. Grams and scores are sums over the pointings of g times a few vectors.
+For columns g the Gram matrix g' P g is g' g less the products of g with an orthonormal basis of the estimated
+parameters; in a large network it is the mean product with simulated residuals, whose covariance is P. These are
+independent of the trials: given them, the recording and the trials are scored by the same function and, without any
+effect, exchangeable. Grams and scores are sums over the pointings of g times a few vectors.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
 TRIALS = 300
-"""Simulated recordings without any effect, by which a search is judged, at least."""
+"""Smallest number of simulated recordings without any effect: p-values down to 1 / 301."""
 GRAM_DRAWS = 200
-"""Further simulated residuals, for Gram matrices without a basis: lengths are known to 10 %."""
+"""Simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
 MOST_UNKNOWNS = 500
-"""Unknowns up to which what an adjustment absorbs is computed with its basis."""
+"""Gram matrices use the basis in networks of at most this many unknowns (cost)."""
 
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """A residual space with the vectors that scores are taken with.
+    """A residual space with the vectors whose products with signatures give scores and Gram matrices.
 
     Attributes
     ----------
     space : ResidualSpace
     residual : (m,) float
-        What is left beside what was found already.
+        Residual of the model.
     model_basis : (m, e) float
-        Orthonormal columns of that.
+        Orthonormal basis of the model.
     trials : (m, t) float32
         Residuals of simulated recordings, by which a search is judged; none where it is not.
     basis : (m, u) float32
@@ -59,7 +59,7 @@ class NullEnsemble:
 
     @classmethod
     def of(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
-        """The probe of a residual space, with so many simulated recordings."""
+        """Ensemble of a residual space, with `trials` simulated recordings."""
         projection = space.projection
         sampled = not (isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS)
         null = _simulated(space, stream(seed, "diagnose", "null"), trials)
@@ -71,9 +71,9 @@ class NullEnsemble:
         return cls(space, space.residual, nothing, null, basis, is_first_pass=True, gram_is_monte_carlo=sampled)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """The same beside what was found: its residual (m,) and orthonormal columns (m, e).
+        """The ensemble given a model, by its residual (m,) and orthonormal basis (m, e).
 
-        What the adjustment leaves of every signature, and what chance makes of it, is known by then.
+        Gram matrices and null statistics are those of the first pass.
         """
         none = self.trials[:, :0]
         return replace(self, residual=residual, model_basis=model_basis, trials=none, basis=none, is_first_pass=False)
@@ -97,13 +97,13 @@ class NullEnsemble:
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
     def gram(self, scores: Floats | Singles, products: Floats) -> Floats:
-        """Gram matrices (..., k, k) of what the adjustment leaves of columns.
+        """Gram matrices (..., k, k) of projected columns.
 
         Parameters
         ----------
         scores : (..., k, v) float
-            Products of columns with all vectors, nothing found yet.
-        own : (..., k, k) float
+            Products of columns with all vectors, in the first pass.
+        products : (..., k, k) float
             Products of the columns with each other.
         """
         squares = square(self.split(scores)[2])

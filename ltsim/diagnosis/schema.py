@@ -20,7 +20,7 @@ TARGETS = Table(
         *numbers(".6f", change_x_mm="against the ordinary adjustment", change_y_mm="as x", change_z_mm="as x"),
     ),
 )
-BEFORE = replace(RESIDUALS, file="residuals_before.csv", about="what the ordinary adjustment left")
+BEFORE = replace(RESIDUALS, file="residuals_before.csv", about="residuals of the ordinary adjustment")
 
 
 class Where(Entry):
@@ -46,11 +46,11 @@ class Evidence(Entry):
     parameters: int
     """Number of parameters that this takes."""
     p_value: Known = None
-    """Chance of as much in a clean recording, in the whole search: of n simulated ones, never below 1 / (n + 1)."""
+    """p-value in the whole search: share of n simulated clean recordings, never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this name against all other explanations."""
     p_located: Known = None
-    """Probability that it acts on this, here, and follows this, whatever the cause is called."""
+    """Probability of an effect on these observables, at this place and with these covariates, whatever its name."""
 
     @property
     def chance(self) -> float:
@@ -121,7 +121,7 @@ class Finding(Entry):
     equivalents: tuple[Equivalent, ...] = ()
     """Other effects that cannot be excluded."""
     separate_by: str = ""
-    """The measurement that would tell it from its equivalents."""
+    """The measurement that would discriminate it from its equivalents."""
     formula: str = ""
     """The proposed term of an unknown effect."""
     carrier: str = ""
@@ -140,7 +140,7 @@ class GlobalTest(Entry):
     dof: int
     """Degrees of freedom."""
     p_value: Known
-    """Chance of as large a chi-square or larger; pages print the two-sided one, from both tails."""
+    """p-value: probability of as large a chi-square or larger; pages print the two-sided one."""
     search_p_value: Known = None
     """p-value of the whole search."""
 
@@ -154,7 +154,7 @@ class Misfit(Entry):
     """Degrees of freedom."""
     held_out_rms: Known = None
     """Error on five parts of the pointings, left out in turn and predicted by a fit and search without them, over the
-    noise: stated, or found where that is larger."""
+    the larger of the declared and the estimated noise."""
 
 
 class BeforeAfter(Entry):
@@ -182,7 +182,7 @@ class Undetectable(Entry):
 
 
 class DetectableEntry(Entry):
-    """The smallest size that would be seen."""
+    """Smallest detectable size of an effect."""
 
     effect: str
     """Id of the catalogue."""

@@ -1,9 +1,9 @@
-"""Search for what explains a mismatch: one finding at a time, then all of them together again.
+"""Model selection by forward, backward and exchange steps.
 
-All cards and all laws are scored beside what was found; the best few are computed exactly, their shapes integrated on a
-grid around the optimum, laws matched with short formulas. What explains most is added. Then every finding is examined
-again beside the others, replaced or dropped where the set as a whole gains, and two are exchanged for one that explains
-both.
+All catalogue effects and laws are screened given the model; the best few are evaluated without approximation, their
+shapes integrated on a grid around the optimum, laws compared with short formulas. The best is added. Then each member
+is tested again given the others, replaced or dropped where the evidence of the model rises, and pairs are exchanged for
+a single member.
 """
 
 from __future__ import annotations
@@ -37,29 +37,31 @@ from ltsim.physics.laws.names import name_of
 from ltsim.physics.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
-"""Findings that are told at most, and as many constants of instruments; the tables have all of these."""
+"""Largest number of members of a model, and of reported constants of instruments."""
 MOST_STIFF = 10
-"""Coefficients of a curve in one quantity, `MODES` and a slope; what has more can imitate several effects."""
+"""Members with more coefficients than a curve in one quantity (`MODES` and a slope) can imitate several effects: the
+search then starts again without them."""
 REFINED, FEW = 7, 3
-"""Cards, and laws, computed exactly in a round; in a large network, where each costs a solution of the whole."""
+"""Number of families, and of laws, evaluated without approximation in a step; in large networks the second (cost)."""
 GRID, FINER, ZOOMS = 11, 9, 2
 """Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above; points that
 are put around the best one, and how often, for the peak may be much narrower than a step."""
 MOST_OPTIMA, MOST_COMPARED, MOST_BEHIND = 3, 40, 10.0
-"""Members of a family that are computed exactly, among its best ones, and how much log evidence they may be behind."""
+"""Local optima of a family that are evaluated, among its best members, within this log evidence of the best."""
 MOST_CACHED = 16
-"""Projected signatures that are kept."""
+"""Number of projected signatures in the cache."""
 MOST_LAWS = 400
-"""Laws of all panels that are kept beside the ones computed exactly."""
+"""Number of screened laws that stay in a ranking."""
 WIDER = 1.15
-"""Ratio of a parameter's sigma over all shapes to that by curvature at the optimum; above it a posterior is shown."""
+"""If marginalising over shape inflates sigma by more than this factor, the posterior is reported instead of the Laplace
+approximation."""
 
 
 class Screen(NamedTuple):
-    """Everything beside a set as it is scored at once.
+    """Screening result given a model.
 
-    Log evidence of cards (h,), and of their families with priors; laws worth a second look; the log sum over all, and
-    that (trials,) of simulated recordings, which it is compared with.
+    Log evidence of catalogue effects (h,), and of their families with priors; best laws; the log sum over all, and that
+    (trials,) of the null ensemble.
     """
 
     values: Floats
@@ -70,7 +72,7 @@ class Screen(NamedTuple):
 
 
 class Searcher:
-    """Search over cards and laws in one residual space."""
+    """Search over catalogue effects and laws in one residual space."""
 
     def __init__(
         self,
@@ -81,9 +83,9 @@ class Searcher:
         cards: CatalogueSignatures | None = None,
         ordinary: bool = True,
     ) -> None:
-        """A search, judged by so many simulated recordings; with `cards` of one on the same readings, if there are.
+        """Search with `trials` simulated recordings; `cards` are the signatures of a search on the same readings.
 
-        Constants of the `ordinary` calibration are tried against their prior, but where a history takes its place.
+        Constants of the `ordinary` calibration are hypotheses unless a history takes the place of their prior.
         """
         self.space = space
         self.probe = NullEnsemble.of(space, seed, trials)
@@ -103,10 +105,10 @@ class Searcher:
         self.first = self._screened(self.empty)
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """The search without some rows (f,), each of which has an error of its own; as short as in a large network.
+        """Search without the rows (f,), each of which has a separate error; as short as in a large network.
 
-        What the adjustment leaves of everything is taken from the whole network where it is scored at once, and
-        computed exactly where it stands out; neither depends on any reading.
+        Screening uses the Gram matrices of the whole network, evaluation those without the rows; neither depends on the
+        readings.
         """
         unit = np.zeros((self.space.size, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
@@ -120,14 +122,14 @@ class Searcher:
         return rest
 
     def rank(self, base: Model) -> Ranking:
-        """Everything beside a set: scored at once, the best computed exactly."""
+        """Ranking of all hypotheses given a model: screened, the best evaluated without approximation."""
         key = frozenset(h.key for h in base.members)
         if key not in self._ranked:
             self._ranked[key] = self._rank(base)
         return self._ranked[key]
 
     def _screened(self, base: Model) -> Screen:
-        """All cards and laws beside a set, scored at once."""
+        """Screening of all catalogue effects and laws given a model."""
         probe = self.probe.with_model(base.residual, base.basis) if base.members else self.probe
         values, chance = self.cards.score(probe)
         families = self.cards.family_evidence(values) + self._log_family_prior
@@ -141,7 +143,7 @@ class Searcher:
 
     @property
     def _log_family_prior(self) -> float:
-        """Log prior of each family of cards."""
+        """Log prior of each catalogue family."""
         return log_share("named", len(self.cards.families))
 
     def _rank(self, base: Model) -> Ranking:
@@ -154,7 +156,7 @@ class Searcher:
         return Ranking(tuple(entries), float(log_sum_exp(np.array([h.value for h in entries]))))
 
     def _card(self, family: int, values: Floats, total: float, base: Model, *, refine: bool) -> Hypothesis:
-        """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
+        """Best member of a family with the evidence of the family; evaluated without approximation if `refine`."""
         members = np.flatnonzero(self.cards.family == family)
         members = members[ranked(values[members], SCREENED_TIE)]
         prior = self._log_family_prior - float(np.log(len(members)))
@@ -170,7 +172,7 @@ class Searcher:
         return best
 
     def _local_optima(self, members: Ints, values: Floats) -> list[int]:
-        """The best members of a family, and others nearly as good at another place or shape."""
+        """Best member of a family, and others nearly as good at a distinct place or shape."""
         chosen = [int(members[0])]
         for i in members[1:MOST_COMPARED]:
             if len(chosen) == MOST_OPTIMA or values[i] < values[chosen[0]] - MOST_BEHIND:
@@ -212,7 +214,7 @@ class Searcher:
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _laws(self, hits: Sequence[ScreenedLaw], base: Model) -> list[Hypothesis]:
-        """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
+        """Screened laws; the best evaluated without approximation in all functional forms."""
         entries, evaluated = [], set[tuple[object, ...]]()
         hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
@@ -227,7 +229,7 @@ class Searcher:
         return entries
 
     def estimates(self, hypothesis: Hypothesis, others: Model, refitted: Sequence[Estimate]) -> tuple[Estimate, ...]:
-        """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
+        """Estimates of a refit; posterior means and deviations over all shapes where these are much wider."""
         effect = hypothesis.effect
         if isinstance(effect, Law):
             sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
@@ -240,19 +242,19 @@ class Searcher:
         return tuple(rows)
 
     def coefficients(self, law: Law, others: Model) -> tuple[Floats, Floats]:
-        """Mean (k,) and covariance (k, k) of a law's coefficients beside a set."""
+        """Mean (k,) and covariance (k, k) of a law's coefficients given a model."""
         gram, score = self.exact.moments([law], others)[0]
         return posterior(gram, score, law.spread)[:2]
 
     def with_members(self, members: Sequence[Hypothesis]) -> Model:
-        """The set of some hypotheses, scored together."""
+        """Model of the given hypotheses."""
         if not members:
             return self.empty
         parts = [self._projected_signature(h) for h in members]
         return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
 
     def without(self, model: Model, member: int) -> Model:
-        """A set less one of its members."""
+        """Model without a member."""
         return self.with_members(model.members[:member] + model.members[member + 1 :])
 
     def _projected_signature(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
@@ -267,10 +269,10 @@ class Searcher:
         return self._projected[key]
 
     def search(self, threshold: float, *, something: bool) -> Model:
-        """The best set: each further finding must raise the evidence of all there is by `threshold`.
+        """Selected model: each further member must raise its log evidence by `threshold`.
 
-        A curve with many coefficients can imitate several effects: the search begins again with the best of those that
-        have few, and what gains more is told.
+        A curve with many coefficients can imitate several effects: the search starts again with the best hypothesis of
+        few coefficients, and the model with the larger evidence is selected.
         """
         best = self._forward(self.empty, threshold, something=something)
         stiff = [h for h in self.rank(self.empty).entries if len(h.spread) <= MOST_STIFF]
@@ -280,14 +282,14 @@ class Searcher:
         return self._relabel(best, threshold)
 
     def lower_bound(self, threshold: float, rival: float) -> Model:
-        """Lower bound of a search: findings added one at a time, none of them examined again.
+        """Lower bound of a search: forward steps alone.
 
-        It ends where it is beyond the evidence of a `rival`, or would not be if all others gained as much as the last.
+        It ends once it exceeds the evidence of a `rival`, or cannot if all further members gain as much as the last.
         """
         return self._forward(self.empty, threshold, something=True, rival=rival)
 
     def _forward(self, best: Model, threshold: float, *, something: bool, rival: float | None = None) -> Model:
-        """A set with findings added one at a time, those before examined again beside each if there is no `rival`."""
+        """Forward selection; earlier members are tested again after each step unless there is a `rival`."""
         again = rival is None
         for depth in range(len(best.members), MOST_MEMBERS):
             ranking, least = self.rank(best), threshold + best.discrepancy_penalty
@@ -303,7 +305,7 @@ class Searcher:
         return self.reexamined(best) if again and self.large else best
 
     def _relabel(self, model: Model, threshold: float) -> Model:
-        """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
+        """Model without members that the others explain, each renamed to the most probable effect given the others."""
         for member in model.members[::-1]:
             others = self.without(model, model.members.index(member))
             ranking = self.rank(others)
@@ -315,7 +317,7 @@ class Searcher:
         return model
 
     def reexamined(self, model: Model) -> Model:
-        """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
+        """Backward and exchange steps, members replaced, dropped or merged, while the evidence rises."""
         for turn in range(2):
             before = model.score
             for size in (1,) if turn or self.large else (1, 2):
@@ -332,11 +334,11 @@ class Searcher:
 
 
 def _best(sets: Sequence[Model]) -> Model:
-    """The set with the largest score; of equal ones the first."""
+    """Model with the largest score; the first of equal ones."""
     most = max(model.score for model in sets)
     return next(model for model in sets if model.score >= most - TIE)
 
 
 def _promising(best: float) -> float:
-    """Log evidence from which a law is computed exactly beside the best: its forms can double it."""
+    """Screened log evidence from which a law is evaluated in all forms, relative to the best: forms can double it."""
     return 0.5 * best - 5.0

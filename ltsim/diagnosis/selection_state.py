@@ -1,4 +1,4 @@
-"""The recording under examination, and what is known of it so far."""
+"""State of the model selection: adjustment, variance components, residual space and search."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import Recording
 
 REWEIGHTINGS = 2
-"""Adjustments in which the sizes of the noise settle."""
+"""Number of adjustments in which the variance components converge."""
 
 
 @dataclass
 class SelectionState:
-    """A recording with its mistakes mended, the changes of its noise found so far, and a search beside them.
+    """State of the model selection on a recording without mistakes.
 
     `baseline` is its ordinary adjustment, where all others begin, `use` (n, 3) the readings that they take, `sigma`
     (n, 3) their standard deviations, `trials` the simulated recordings by which the search is judged.
@@ -39,7 +39,7 @@ class SelectionState:
     seed: int
     trials: int = TRIALS
     ordinary: bool = True
-    """Constants are tried against their prior too."""
+    """Constants of the ordinary calibration are hypotheses too."""
     sigma: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
     space: ResidualSpace = field(init=False)
@@ -73,9 +73,9 @@ class SelectionState:
         return self.baseline.recording
 
     def refit(self, effects: Sequence[Tunable], sigma: Floats) -> Refit:
-        """The exact refit with some effects; without any the ordinary adjustment.
+        """Nonlinear refit with effects; without any the ordinary adjustment.
 
-        Parameters are held to `WIDE` times their plausible size: some combinations of them may leave no residual.
+        Parameters have a prior of `WIDE` times their plausible size, since some combinations may leave no residual.
         """
         if not (effects or self.noise):
             return Refit(self.baseline, (), ())
@@ -91,7 +91,7 @@ class SelectionState:
         return refit(with_causes if old.effects else adjusted, effects, start=old.state)
 
     def release_priors(self, constants: Sequence[Contradiction]) -> None:
-        """Let constants that contradict what is known of them be whatever the readings say."""
+        """Widen the prior of contradicting constants and adjust again."""
         old = self.baseline
         freed = np.zeros(old.state.instrument.shape, dtype=bool)
         for constant in constants:
@@ -110,19 +110,19 @@ class SelectionState:
         self.set_adjustment(self.refit((), self.sigma).adjustment)
 
     def set_adjustment(self, adjustment: Adjustment) -> None:
-        """Look at what another adjustment leaves; what was scored before is let go."""
+        """Rebuild the residual space from a new adjustment and invalidate cached scores."""
         self.space, self._scored, self._searcher = ResidualSpace.of(adjustment), self._searcher or self._scored, None
         quieter = not any(getattr(change.effect, "repeating", "") for change in self.noise)
         tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
         self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
 
     def noises(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Every change of the noise beside a set, the likeliest of each family first, with its evidence."""
+        """Changes of the noise given a model with their evidence, the best of each family, the best family first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         return self.bank.ranked(model.residual, redundancy, model.basis)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
-        """Take in a further change of the noise; one of the same kind at the same place is made larger."""
+        """Add a change of the noise; one of the same kind at the same place is enlarged."""
         for i, change in enumerate(self.noise):
             if change.effect == further.effect:
                 values = tuple(a + b for a, b in zip(change.values, further.values, strict=True))
@@ -133,10 +133,7 @@ class SelectionState:
         self.sigma = self._weighted(self.noise)
 
     def estimate_variance_components(self, effects: Sequence[Tunable]) -> Adjustment:
-        """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out.
-
-        This ends at the restricted maximum likelihood (Foerstner 1979).
-        """
+        """Adjustment with REML variance components (Foerstner 1979), mean `effects` being in the model."""
         for _ in range(REWEIGHTINGS):
             space = ResidualSpace.of(self.refit((), self.sigma).adjustment).beside(effects)
             for i, change in enumerate(self.noise):
@@ -146,7 +143,7 @@ class SelectionState:
         return self.refit((), self.sigma).adjustment
 
     def prune_variance_components(self, effects: Sequence[Tunable]) -> None:
-        """Settle the noise beside some effects, without changes of it that these leave no reason for."""
+        """Re-estimate the variance components with effects in the model; drop those whose evidence is not positive."""
         space = ResidualSpace.of(self.estimate_variance_components(effects)).beside(effects)
         estimates = [
             most_likely(space, self._weighted([n for n in self.noise if n is not change]), change)
@@ -159,7 +156,7 @@ class SelectionState:
         self.set_adjustment(self.estimate_variance_components(effects))
 
     def _weighted(self, noise: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) with some changes of the noise."""
+        """Standard deviations (n, 3) with changes of the noise."""
         sigma, sightings = self.recording.sigma(), self.baseline.sightings
         for change in noise:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.values)))

@@ -53,10 +53,10 @@ def are_distinct(effect: Tunable, other: Tunable) -> bool:
 
 
 class ShapeNode(NamedTuple):
-    """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
+    """Grid node: an effect with one set of its shape constants [SI], its log weight, and its parameters (q,) there.
 
-    The weight is the evidence and the room that the constants stand for; the time of a change is one of them, and lies
-    anywhere between two pointings.
+    The weight is the evidence times the cell volume; the time of a change is a constant that lies anywhere between two
+    pointings.
     """
 
     effect: Tunable
@@ -78,10 +78,10 @@ def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:
 def all_shapes(
     exact: EvidenceCalculator, effect: Tunable, base: Model, spread: Mapping[str, float], *, plausible: bool = False
 ) -> list[ShapeNode]:
-    """An effect in all its shapes and at its neighbours in place, all alike at first; empty without either.
+    """Nodes of an effect over all its shapes and neighbouring places; empty without either.
 
-    Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). They are weighed by what
-    the readings alone say of the effect's size, or, `plausible`, by the prior of sizes too.
+    Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). Weights use a wide prior
+    of the size or, if `plausible`, the prior of sizes.
     """
     shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
     near = effect.finer(exact.space.sightings)
@@ -112,11 +112,10 @@ def all_shapes(
 def shape_posterior(
     exact: EvidenceCalculator, effect: Tunable, base: Model, estimates: Sequence[Estimate]
 ) -> dict[str, Estimate]:
-    """Means and standard deviations of parameters and constants over all shapes, the finest around what is `told`.
+    """Means and standard deviations of parameters and constants over all shapes, the grid finest around `estimates`.
 
-    Shapes are weighed by their evidence and the room they stand for; each brings the uncertainty it leaves the
-    parameters. Unlike a curvature at the optimum this holds where a likelihood is flat, skew, cut off by bounds, or has
-    two tops. Empty for effects without such constants.
+    Unlike the Laplace approximation this holds for flat, skew, bounded and bimodal likelihoods. Empty for effects
+    without shape constants.
     """
     shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in estimates})
     if not shapes:

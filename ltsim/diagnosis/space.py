@@ -1,7 +1,7 @@
 """The space that is searched: carriers x drivers x places, and how the prior is shared among them.
 
 A law has the odds of its place, of the kind of its carrier and of its driver, multiplied; each is shared evenly among
-all of its kind that the recording offers, and the whole is normalised to the prior of laws without a card.
+all of its kind that the recording offers, and the whole is normalised to the prior of laws outside the catalogue.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,13 +28,13 @@ from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import ResponseTerm, response_designs
 
 MOST_PLACES = 400
-"""Set-ups, or targets, up to whose number each is tried on its own."""
+"""Each set-up, or target, is a place of its own in networks of at most this many (cost)."""
 GROUPED = range(12, 101)
-"""Numbers of targets with which groups of them are tried: few make hardly a group, of many there are too many."""
+"""Groups of targets are places in networks with this many targets: fewer hardly form a group, more cost too much."""
 FINE = 4
-"""Pointings of a set-up for each coefficient of a fine curve; with fewer a coarse one is tried."""
+"""A curve is fine if a set-up has more pointings per coefficient than this, else coarse."""
 ROOM = 2
-"""Pointings at a place for each coefficient of a law: half of what they say goes to what is estimated anyhow."""
+"""A law needs this many pointings per coefficient at its place: the adjustment absorbs about half of them."""
 AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag")
 """Kinds of drivers of one instrument, and of one set-up."""
 ONLY = {"product": ("reading",), "room": ("target",)}
@@ -43,10 +43,10 @@ Drivers = Mapping[str, Sequence[Regressor]]
 
 
 def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
-    """All panels of a recording; their priors sum to that of laws without a card.
+    """All batches of laws of a recording; their priors sum to that of laws outside the catalogue.
 
     Constants of the instruments are among them as long as they are `ordinary`: a history is compared with by itself. A
-    target that is displaced alike for every pointing is none: that is its place, which is estimated.
+    constant displacement of a target is none: its coordinates are estimated.
     """
     made = _Maker(space)
     for place, where, drivers in _places(space):
@@ -82,7 +82,7 @@ def _few(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class _Maker:
-    """Panels in the making: laws that are alike but for their place are scored together."""
+    """Builder of law batches: laws that differ only in their place are scored together."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings

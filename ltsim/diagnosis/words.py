@@ -11,7 +11,7 @@ from ltsim.physics.effects import card_of, find_effect
 MOST_NAMED = 4
 """Estimates that a sentence names at most."""
 LIKELY = 0.5
-"""Probability below which a name is only a suggestion."""
+"""A name, or an effect, is reported as probable from this probability on: the more probable of two."""
 COVARIATES = {
     "approach": "the move before the pointing",
     "place": "the place in the room",
@@ -21,7 +21,7 @@ COVARIATES = {
 
 
 def estimates(parameters: Sequence[Estimate]) -> str:
-    """The most telling estimates in a phrase; what is no larger than its uncertainty is left to the tables."""
+    """Phrase with the most significant estimates; those within one sigma are left to the tables."""
     significant = [p for p in parameters if abs(p.value) > p.sigma]
     largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
     chosen = [p for p in parameters if p in largest]
@@ -29,11 +29,11 @@ def estimates(parameters: Sequence[Estimate]) -> str:
 
 
 def _estimate(parameter: Estimate) -> str:
-    """One estimate in a phrase; an added variance as the factor on the stated standard deviation."""
+    """One estimate in a phrase; an added variance as the factor on the declared standard deviation."""
     name, value, sigma = parameter.name.replace("_", " "), parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
-        return f"{name[6:]}s scatter {with_sigma(factor, 0.5 * sigma / max(factor, 0.1))} times as much as stated"
+        return f"{name[6:]}s scatter {with_sigma(factor, 0.5 * sigma / max(factor, 0.1))} times as much as declared"
     return f"{name} {with_sigma(value, sigma)} {parameter.unit}".strip()
 
 
@@ -54,36 +54,36 @@ def percent(probability: float) -> str:
 def catalogue_sentence(
     effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, p_located: float | None = None
 ) -> str:
-    """An effect of the catalogue in a sentence: what the readings show, and what usually causes it."""
+    """Sentence on an effect of the catalogue: its size and place, its usual cause, both probabilities."""
     card = card_of(find_effect(effect))
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
     sizes = estimates(parameters)
     if max(probability, p_located or 0.0) < LIKELY:
         perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent(probability)}"
-        return f"Something is off ({at}) that these readings do not tell: {perhaps}."
+        return f"An unidentified systematic effect is present ({at}); the best candidate is {perhaps}."
     located = "" if p_located is None else f"such a change here: {percent(p_located)}; "
     cause = f"usual cause: {card.cause} (probability of this name {percent(probability)})"
     return f"{title} ({at}){f': {sizes}' if sizes else ''}; {located}{cause}."
 
 
 def law_sentence(where: Where, parameters: Sequence[Estimate], p_located: float, law: str) -> str:
-    """A law that no card names, in one sentence: what varies with what, where, how much, how surely."""
+    """Sentence on a law outside the catalogue: response, regressor, place, size, probability."""
     sizes = estimates(parameters)
     size = f" ({sizes})" if sizes else ""
     at = _at(where.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
     if p_located < LIKELY:
         likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent(p_located)})"
-        return f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell: {likeliest}."
+        return f"Physics outside the catalogue{_at(where)}, of a form that the readings do not determine: {likeliest}."
     sure = f"probability that it follows this {percent(p_located)}"
     return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
 
 def outside_sentence(where: Where, law: str) -> str:
-    """Sentence on an effect outside the catalogue: where it acts, what it depends on, the law that fits."""
+    """Sentence on an effect outside the catalogue: place, covariates, law."""
     on = f", depending on {listing([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
-    return f"Physics outside the catalogue{_at(where)}{on}; what fits: {law}."
+    return f"Physics outside the catalogue{_at(where)}{on}; best law: {law}."
 
 
 def _at(where: Where) -> str:
@@ -93,14 +93,14 @@ def _at(where: Where) -> str:
 
 
 CLEAR, MOST_CONSTANTS = 5.0, 5
-"""Standard deviations from which a constant is named in the answer, and how many are."""
+"""A constant is listed in the answer if it exceeds this many standard deviations; largest number of them."""
 
 
 def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """The constants that the readings determine best, in plain names, the clearest first.
 
-    What is known in combination alone goes by the first of its members: the vertical index, say, as large as it is at
-    the elevations that were used.
+    A combination goes by the first of its members: the vertical index, for example, as effective over the elevations
+    used.
     """
     ranked: list[tuple[float, str]] = []
     for entry in instruments:
@@ -109,7 +109,8 @@ def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
         for combination in entry.determined:
             name, weight = next(iter(combination.combination.items()))
             sigma = (combination.sigma or 0.0) / abs(weight)
-            entries.append((name, ", at the angles used,", combination.value / weight, sigma, combination.unit))
+            used = ", effective over the angles used,"
+            entries.append((name, used, combination.value / weight, sigma, combination.unit))
         of = entry.name or "the instrument"
         for name, used, value, sigma, unit in entries:
             plain = f"{name.replace('-', ' ')}{used} of {of}: {with_sigma(value, sigma)} {unit}"
@@ -136,32 +137,33 @@ def without_clock(parameter: Estimate) -> Estimate:
 
 
 def summarise(
-    verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, untold: int = 0
+    verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, withheld: int = 0
 ) -> str:
-    """The answer in a few sentences, with which a report begins; `untold` more findings are modelled alone."""
+    """Answer in a few sentences, the first of a report; `withheld` is the number of members that are not reported."""
     if verdict == "consistent":
         return (
-            f"The recording agrees with the model and the stated noise (chi-square {before.chi2:.0f} for "
+            f"The recording agrees with the model and the declared noise (chi-square {before.chi2:.0f} for "
             f"{before.dof} degrees of freedom; chance of a search like this finding as much in a clean "
             f"recording: {100 * p_value:.0f} %)."
         )
     if not findings:
         return (
-            "The recording does not agree with the model and the stated noise, but no single cause stands out; "
+            "The recording does not agree with the model and the declared noise, but no cause is probable; "
             f"chi-square {before.chi2:.0f} for {before.dof} degrees of freedom."
         )
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
-    rest = f" Modelled and not told, being smaller or in doubt: {untold}." if untold else ""
+    further = "1 further effect is" if withheld == 1 else f"{withheld} further effects are"
+    rest = f" {further} in the model but not reported (small or uncertain)." if withheld else ""
     return first.sentence + open_ + more + rest + _course(before.held_out_rms, after.held_out_rms)
 
 
 def _course(before: float | None, after: float | None) -> str:
-    """Sentence on the change of the error on readings that neither fit nor search has seen; empty without a change."""
+    """Sentence on the change of the prediction error on held-out readings; empty without a change."""
     if before is None or after is None or before == after:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"
     course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
-    return f" On readings that neither search nor fit has seen the error {course} times their noise."
+    return f" On held-out readings the prediction error {course} times the noise."

@@ -175,7 +175,7 @@ def test_an_extra_coefficient_that_contradicts_its_prior_is_said_and_estimated()
     found = lt.calibrate(recording, construction="dh", advise=False)
     assert abs(found.values[0, at] - 5e-6) < 3 * found.sigma[0, at]
     said = [note for note in found.notes if note.startswith("J1.eX_sin2 is ")]
-    assert "contradicts its stated prior of 0.242 urad" in said[0]
+    assert "contradicts its declared prior of 0.242 urad" in said[0]
     wider = lt.calibrate(with_prior(recording, J1__eX_sin2=10.0), construction="dh", advise=False)
     assert abs(wider.values[0, at] - 5e-6) < 3 * wider.sigma[0, at]
     assert wider.sigma[0, at] < 1e-6

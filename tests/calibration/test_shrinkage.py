@@ -72,8 +72,8 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
     wrong = lt.calibrate(with_prior(recording, factor), advise=False)
     assert right.correction is not None
     assert wrong.correction is not None
-    assert not any("contradict the stated priors" in s for s in right.correction.sentences)
-    assert any("contradict the stated priors" in s for s in wrong.correction.sentences)
+    assert not any("contradict the declared priors" in s for s in right.correction.sentences)
+    assert any("contradict the declared priors" in s for s in wrong.correction.sentences)
     assert wrong.correction.prior_scale * factor == pytest.approx(right.correction.prior_scale, rel=0.35)
     assert right.adjustment is not None
     by_value = point_errors(right.adjustment)

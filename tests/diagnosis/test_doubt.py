@@ -200,5 +200,5 @@ def test_no_more_is_told_than_anybody_reads(monkeypatch):
     monkeypatch.setattr(import_module("ltsim.diagnosis.diagnose"), "MOST_TOLD", 1)
     one = diagnose(recording)
     assert [f.effect for f in one.findings] == ["outlier"]
-    assert one.summary.endswith("Modelled and not told, being smaller or in doubt: 1.")
+    assert one.summary.endswith("1 further effect is in the model but not reported (small or uncertain).")
     assert one.after.chi2 < 0.5 * one.before.chi2
