@@ -9,29 +9,36 @@ NOTICEABLE = 0.1
 """Curvature of the earth over a sight, in the noise of its elevation, from which it is modelled."""
 
 REFRACTION = 0.13, 0.1
-"""Coefficient of refraction near the ground, radius of the earth over that of the ray, and how much it varies (Gauss's
-mean value; Brunner 1984, Geodetic Refraction)."""
+"""Coefficient of refraction near the ground, radius of the earth over that of the ray, and its standard deviation
+(Gauss's mean value; Brunner 1984, Geodetic Refraction)."""
 
 
 def on_round_earth(recording: Recording) -> Recording:
-    """Recording with plumb lines that differ by place (`curved`), unless its set-up sets `curved` itself.
+    """Recording with plumb lines that differ by place (`curved`) and refraction, unless its set-up sets them itself.
 
     Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
-    `NOTICEABLE` times the noise of the elevation on.
+    `NOTICEABLE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
     """
     setup = recording.setup
     levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
     if "curved" in setup.model_fields_set or not levelled.any():
         return recording
     length = np.where(levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
-    if not np.any(length / (2.0 * EARTH) > NOTICEABLE * recording.sigma()[:, 2]):
+    angle = float(np.nanmax(length / (2.0 * EARTH) / recording.sigma()[:, 2], initial=0.0))
+    if not angle > NOTICEABLE:
         return recording
+    changes: dict[str, object] = {"curved": True}
     longest = float(np.nanmax(length))
     drop = longest**2 / (2.0 * EARTH) / MILLIMETRE
     note = (
         f"levelled set-ups stand on a round earth: over the longest sight, {longest:.4g} m, a level surface leaves the "
-        f"plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel); "
-        f"refraction bends that sight by {REFRACTION[0] * drop:.2g} +- {REFRACTION[1] * drop:.2g} mm as a rule, which "
-        "calibrate --with air-gradient estimates"
+        f"plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
     )
-    return recording.replace(setup=setup.model_copy(update={"curved": True}), notes=(*recording.notes, note))
+    if setup.refraction is None and sum(REFRACTION) * angle > NOTICEABLE:
+        changes["refraction"] = REFRACTION
+        note += (
+            f"; the coefficient of refraction is estimated from {REFRACTION[0]:g} +- {REFRACTION[1]:g}, which "
+            f"bends that sight by {REFRACTION[0] * drop:.2g} +- {REFRACTION[1] * drop:.2g} mm (refraction = [...] in "
+            "setup.toml)"
+        )
+    return recording.replace(setup=setup.model_copy(update=changes), notes=(*recording.notes, note))

@@ -325,6 +325,9 @@ class Setup(TomlSection):
     each occupation, which the columns `instrument_setup` and `target_setup` name."""
     curved: bool = False
     """Plumb lines differ by place, as on a sphere like the earth, where a station does not state its `vertical`."""
+    refraction: tuple[Finite, Sigma] | None = None
+    """Coefficient of refraction near the ground (radius of the earth over that of the ray) and its standard deviation,
+    such as [0.13, 0.1]; where it is given, the network estimates the coefficient."""
     report: About | None = None
     """Head of a report: instrument, date, operator, customer."""
     instrument: Instrument = Instrument()

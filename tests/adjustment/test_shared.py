@@ -11,7 +11,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.physics.model.construction import ideal
 from ltsim.physics.model.measurement import MeasurementModel
-from ltsim.physics.model.shared import shared_errors
+from ltsim.physics.model.nuisances import shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.recording import KIND_COLUMN, OBSERVABLES
 from ltsim.solve.design import as_dense

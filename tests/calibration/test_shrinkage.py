@@ -56,7 +56,7 @@ def test_new_points_do_not_become_worse_under_a_wrong_prior(
     for trial in range(len(before)):
         true = rng.standard_normal(16) / factor
         known = ScaledPrior(information, information @ true + root @ rng.standard_normal(16))
-        left = known.harmless(by_unit)[0] - true
+        left = known.shrunk_correction(by_unit)[0] - true
         before[trial], after[trial] = true @ by_unit @ true, left @ by_unit @ left
     ratio = np.sqrt(after / before)
     assert ratio.mean() < 1.02
@@ -215,7 +215,7 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
 
 def test_what_no_instrument_has_is_not_applied() -> None:
     asked = ScaledPrior(100.0 * np.eye(4), 100.0 * np.array([200.0, -150.0, 300.0, 90.0]))
-    applied, _ = asked.harmless(np.eye(4))
+    applied, _ = asked.shrunk_correction(np.eye(4))
     assert not applied.any()
     assert "as no instrument has them: something else bends them, and no correction is applied" in asked.doubt
 
@@ -226,7 +226,7 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     information, by_unit = evidence
     told = information @ (6.0 * stream(3, "worth").standard_normal(16))
     followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, rest=2.5)
-    assert followed.harmless(by_unit)[0].any()
+    assert followed.shrunk_correction(by_unit)[0].any()
     assert "what is applied follows the readings" in followed.doubt
-    assert not bent.harmless(by_unit)[0].any()
+    assert not bent.shrunk_correction(by_unit)[0].any()
     assert "contradict each other by 2.5 times their noise" in bent.doubt

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points
 from ltsim.core.units import EARTH
 from ltsim.recordings import Hints, read
@@ -20,8 +21,8 @@ LEVELS = "\n".join(
 )
 
 
-def survey(folder: Path, *, size: float = 1.0, further: str = "") -> Path:
-    """A total station on three pillars, 600 m apart times `size`: noise of 0.5 arcsec and 0.6 mm, no refraction."""
+def survey(folder: Path, *, size: float = 1.0, further: str = "", refraction: float = 0.0) -> Path:
+    """A total station on three pillars, 600 m apart times `size`: noise of 0.5 arcsec and 0.6 mm."""
     rng = np.random.default_rng(8)
     corners = {name: size * np.array(place) for name, place in CORNERS.items()}
     points = corners | {f"W{i}": size * rng.uniform([0, 0, 0], [600, 500, 25]) for i in range(8)}
@@ -36,7 +37,7 @@ def survey(folder: Path, *, size: float = 1.0, further: str = "") -> Path:
             arm = axes @ (points[target] - place)
             length = float(np.linalg.norm(arm))
             hz = np.arctan2(arm[0], arm[1]) + rng.normal(0.0, 0.5) * ARCSECOND / np.hypot(arm[0], arm[1]) * length
-            zenith = np.arccos(arm[2] / length) + rng.normal(0.0, 0.5) * ARCSECOND
+            zenith = np.arccos(arm[2] / length) - refraction * length / (2 * EARTH) + rng.normal(0.0, 0.5) * ARCSECOND
             printed = np.array([hz % (2 * np.pi), zenith]) * 200 / np.pi
             rows.append(f"{name};{target};{printed[0]:.6f};{printed[1]:.6f};{length + rng.normal(0, 6e-4):.5f}")
     (folder / "survey.csv").write_text("\n".join(rows) + "\n")
@@ -58,7 +59,7 @@ def test_long_sights_of_levelled_set_ups_are_on_a_round_earth(tmp_path: Path) ->
     assert recording.setup.curved
     assert sum("levelled set-ups stand on a round earth" in note for note in recording.notes) == 1
     assert 0.7 < lt.adjust(recording).fit.sigma0 < 1.3
-    flat = recording.replace(setup=recording.setup.model_copy(update={"curved": False}))
+    flat = recording.replace(setup=recording.setup.model_copy(update={"curved": False, "refraction": None}))
     assert lt.adjust(flat).fit.sigma0 > 2.0
 
 
@@ -74,8 +75,27 @@ def test_coordinates_that_are_given_need_not_stand_along_the_plumb_line_of_the_m
     assert np.abs(adjusted.points - true[at]).max() < 3e-3
 
 
+@pytest.mark.parametrize("refraction", [0.0, 0.13, 0.3])
+def test_the_coefficient_of_refraction_is_estimated(tmp_path: Path, refraction: float) -> None:
+    recording = read(survey(tmp_path, refraction=refraction), hints=hints(tmp_path))
+    assert recording.setup.refraction == (0.13, 0.1)
+    assert sum("coefficient of refraction" in note for note in recording.notes) == 1
+    adjusted = adjust(recording)
+    assert 0.7 < adjusted.sigma0 < 1.3
+    (difference,) = adjusted.state.extra
+    assert 0.13 + difference == pytest.approx(refraction, abs=0.05)
+    straight = recording.replace(setup=recording.setup.model_copy(update={"refraction": None}))
+    assert (adjust(straight).chi2 > adjusted.chi2 + 50.0) == (refraction > 0.2)
+
+
+def test_a_declared_coefficient_stays(tmp_path: Path) -> None:
+    recording = read(survey(tmp_path, further="refraction = [0.3, 0.01]", refraction=0.3), hints=hints(tmp_path))
+    assert recording.setup.refraction == (0.3, 0.01)
+    assert adjust(recording).state.extra == pytest.approx([0.0], abs=0.03)
+
+
 @pytest.mark.parametrize(("size", "further"), [(0.003, ""), (1.0, "curved = false")])
 def test_short_sights_and_what_a_person_states_stay_as_they_are(tmp_path: Path, size: float, further: str) -> None:
     recording = read(survey(tmp_path, size=size, further=further), hints=hints(tmp_path))
-    assert not recording.setup.curved
+    assert not recording.setup.curved and recording.setup.refraction is None
     assert not any("round earth" in note for note in recording.notes)

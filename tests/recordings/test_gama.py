@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from ltsim.adjustment.estimate import adjust
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, GON
-from ltsim.physics.model.shared import shared_errors
+from ltsim.physics.model.nuisances import shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.setup import Gauge, Setup, Station, Target
 from tests.recordings.samples import outcome, shared, workshop

@@ -15,9 +15,8 @@ from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_tur
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.heads import HeadHeights, head_heights
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors
-from ltsim.physics.model.shared import shared_errors
+from ltsim.physics.model.nuisances import HeadHeights, head_heights, refraction_of, shared_errors
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
@@ -165,8 +164,8 @@ class MeasurementModel:
 
     @cached_property
     def nuisances(self) -> tuple[Signature, ...]:
-        """Nuisance errors, whose size is known beforehand: of heights of heads, of reflectors, shared by readings."""
-        return *self.heads, *self.incidence, *shared_errors(self.recording)
+        """Nuisance errors with a prior: heights of heads, reflectors, errors shared by readings, refraction."""
+        return *self.heads, *self.incidence, *shared_errors(self.recording), *refraction_of(self.recording)
 
     @property
     def extra_effects(self) -> tuple[Signature, ...]:
