@@ -441,7 +441,7 @@ def test_of_constants_that_a_plan_does_not_tell_apart_one_is_told(
     names = found.construction.names
     both = {names.index("transit-offset"): 2.0, names.index("range-offset"): 1.0}
     logs = {k: np.where(np.arange(len(names)) == k, size, -9.0) for k, size in both.items()}
-    monkeypatch.setattr(instruments, "changes_found", lambda evidence, least: logs)
+    monkeypatch.setattr(instruments, "forward_select", lambda evidence, least: logs)
     (told,) = instruments.contradictions(found, 0.0)
     assert told.parameter.name == "transit-offset"
     assert np.isfinite(told.sigma)

@@ -81,7 +81,7 @@ def test_sound_networks_keep_every_known_value() -> None:
     for seed in range(12):
         found = adjust(controlled(100 + seed, stations=3))
         assert found.wrong == ()
-        normal = [test.drop for test in found.known if test.kind == "point"]
+        normal = [test.drop for test in found.reference_values if test.kind == "point"]
         assert 1.0 < np.mean(normal) < 6.5  # chi-square with three degrees of freedom
 
 
@@ -102,8 +102,8 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     recording = with_length(network(seed=2)[0], 2, more)
     found = lt.adjust(recording)
     assert found.outliers == ()
-    assert next((k.kind, k.name, k.left_out) for k in found.known) == ("length", "T25-T28", True)
-    assert found.known[0].error == pytest.approx(more, abs=0.01)
+    assert next((k.kind, k.name, k.excluded) for k in found.reference_values) == ("length", "T25-T28", True)
+    assert found.reference_values[0].error == pytest.approx(more, abs=0.01)
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
     assert found.verdict is not None
     assert "The known length T25-T28 is off by" in found.verdict.sentence
@@ -117,11 +117,11 @@ def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_r
     gauge = recording.setup.gauge.model_copy(update=stated)
     recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
     found = lt.adjust(recording)
-    assert (found.known[0].kind, found.known[0].left_out) == ("scale", True)
+    assert (found.reference_values[0].kind, found.reference_values[0].excluded) == ("scale", True)
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)  # the readings do not pay
     unscaled = right.replace(setup=right.setup.model_copy(update={"gauge": None}))
     np.testing.assert_allclose(found.points, lt.adjust(unscaled).points, atol=5e-6)
-    assert found.known[0].error == pytest.approx(23.2 * degrees, abs=15.0)
+    assert found.reference_values[0].error == pytest.approx(23.2 * degrees, abs=15.0)
     assert found.verdict is not None
     assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence
     told = lt.check(recording)
@@ -135,7 +135,7 @@ def test_a_calibration_does_not_follow_lengths_so_far_off_that_no_scale_of_an_in
     assert recording.setup.gauge is not None
     gauge = recording.setup.gauge.model_copy(update={"measured_at_c": 45.0, "expansion_per_k": 23.2e-6})
     found = lt.calibrate(recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))
-    assert (found.known[0].kind, found.known[0].left_out) == ("scale", True)
+    assert (found.reference_values[0].kind, found.reference_values[0].excluded) == ("scale", True)
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
     scale = found.parameters[found.names.index("range-scale")]
     assert abs(scale.value) < 3.0 * scale.prior_sigma
@@ -204,14 +204,13 @@ def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) ->
 
 @pytest.mark.parametrize("wrong", [0.03, 0.3])
 def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> None:
-    """Each contradicts the ranges and the other one: both are told in one sentence, no law is made of them."""
+    """Each contradicts the ranges and the other one: both are reported, and no effect is made of them."""
     recording, truth = network(seed=2, faces=2)
     found = adjust(with_two_lengths(recording, wrong, -wrong))
     (test,) = found.wrong
     assert (test.kind, test.left_out, len(test.rivals)) == ("length", False, 1)
     told = lt.diagnose(with_two_lengths(recording, wrong, -wrong))
-    assert [finding.carrier for finding in told.findings] == ["known length"]
-    assert "nobody can tell which is wrong" in told.findings[0].sentence
+    assert [finding.carrier for finding in told.findings] == ["reference length"] * 2
     rotation, shift = align(told.targets.points, truth.state.points)
     off = told.targets.points @ rotation.T + shift - truth.state.points
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 20e-6
@@ -263,7 +262,7 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     file.write_text("\n".join(lines))
     found = adjust(with_control(recording, file))
     assert [test.name for test in found.wrong] == ["T20"]
-    assert {test.name: test.axes for test in found.known}["T02"] == "z"
+    assert {test.name: test.axes for test in found.reference_values}["T02"] == "z"
     assert "frame of the control points" in lt.adjust(with_control(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
     with pytest.raises(RecordError, match="states no standard deviation of T01"):

@@ -236,7 +236,7 @@ def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
     assert first.effect == "range-offset"
     (offset,) = first.parameters
     assert abs(offset.value - 60.0) < 3 * offset.sigma < 15.0
-    assert "stated to be zero with a standard deviation of 10 um" in first.sentence
+    assert "zero with a standard deviation of 10 um" in first.sentence
 
 
 def test_a_level_that_simulation_cannot_reach_is_refused():

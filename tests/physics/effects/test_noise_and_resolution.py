@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from ltsim.core.units import ARCSECOND
-from ltsim.simulation.physics import quantised, stated_noise
+from ltsim.simulation.physics import quantised, nominal_noise
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import fieldwork, measure
 
@@ -12,7 +12,7 @@ from ltsim.simulation.simulator import fieldwork, measure
 def test_sigma_is_that_of_a_recording() -> None:
     work = fieldwork(load_scenario("paper-workshop-two-face"), 3)
     recording, _ = measure(work, 3)
-    np.testing.assert_allclose(stated_noise(work.scenario, work.sightings), recording.sigma(), rtol=1e-3)
+    np.testing.assert_allclose(nominal_noise(work.scenario, work.sightings), recording.sigma(), rtol=1e-3)
 
 
 @given(st.floats(-10, 10), st.sampled_from([1e-7, 0.018 * ARCSECOND, 0.5]))
