@@ -1,0 +1,75 @@
+"""Identifiers are nouns of the field: no participle, pronoun or adverb names a value, a function, a class or a module."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import ltsim
+
+PACKAGE = Path(ltsim.__file__).parent
+PARTS = sorted({path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")})
+WORDS = frozenset(
+    "alike apart beside found kept known left mended one own said seen some stated stray told".split(),
+)
+"""Words that say when or by whom a value came to be, and not what it is."""
+TO_BE_RENAMED = {"adjustment", "recordings"}
+"""Packages that still hold such names; the list may only become shorter."""
+
+
+def words_of(name: str) -> set[str]:
+    """Words of an identifier, at underscores and capitals, in lower case."""
+    return {part.lower() for part in re.split(r"_|(?<=[a-z])(?=[A-Z])", name) if part}
+
+
+def defined(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and name of each variable, argument, function, class, attribute and import alias that a module defines."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.attr
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.alias) and node.asname:
+            yield node.lineno, node.asname
+        elif isinstance(node, ast.ExceptHandler) and node.name:
+            yield node.lineno, node.name
+
+
+def offences(part: str) -> list[str]:
+    """Places of a package, or of a module beside the packages, whose names hold one of `WORDS`."""
+    folder = PACKAGE / part
+    bad = []
+    for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]:
+        names = [(1, file.stem), *defined(ast.parse(file.read_text(encoding="utf-8")))]
+        bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in names if words_of(name) & WORDS]
+    return bad
+
+
+@pytest.mark.parametrize("part", [part for part in PARTS if part not in TO_BE_RENAMED])
+def test_names_say_what_a_value_is(part: str) -> None:
+    bad = offences(part)
+    assert not bad, "\n".join(["name what the value is, not when it came to be:", *bad])
+
+
+@pytest.mark.parametrize("part", sorted(TO_BE_RENAMED))
+def test_the_list_of_packages_to_be_renamed_becomes_shorter(part: str) -> None:
+    assert offences(part), f"every name of ltsim/{part} is in order: remove it from TO_BE_RENAMED"
+
+
+def test_each_kind_of_name_is_looked_at() -> None:
+    tree = ast.parse(
+        "import os as own\n"
+        "class Known:\n    def told(self, left_over, *some): self.seen = found = left_over\n"
+        "try: pass\nexcept OSError as said: pass\n"
+    )
+    names = {name for _, name in defined(tree) if words_of(name) & WORDS}
+    assert names == {"own", "Known", "told", "left_over", "some", "seen", "found", "said"}
+    assert not words_of("unknown_name") & WORDS and not words_of("foundation") & WORDS
