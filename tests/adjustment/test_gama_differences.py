@@ -309,7 +309,7 @@ def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
     assert calibration.frame == "the frame of the known differences S-A, S-B, C-S, A-C"
     assert "4 known differences" in calibration.adjustment.recording.headline
     free = calibrate(DIRECTIONS.write(tmp_path / "free.gkf"))
-    assert free.frame.startswith("the axes and the scale in which coordinates of the datum's targets are stated")
+    assert free.frame.startswith("the axes and the scale of the declared coordinates of the datum's targets")
 
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:

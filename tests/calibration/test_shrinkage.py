@@ -120,7 +120,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
     assert found.correction.noise_um == pytest.approx(1e6 * stated)
     both = np.hypot(found.correction.corrected_um, found.correction.noise_um)
-    assert f"{number(both, 3)} um corrected (rms in 3D" in repr(found)
+    assert f"{number(both, 3)} um corrected (" in repr(found)
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -217,7 +217,7 @@ def test_what_no_instrument_has_is_not_applied() -> None:
     asked = ScaledPrior(100.0 * np.eye(4), 100.0 * np.array([200.0, -150.0, 300.0, 90.0]))
     applied, _ = asked.shrunk_correction(np.eye(4))
     assert not applied.any()
-    assert "as no instrument has them: something else bends them, and no correction is applied" in asked.doubt
+    assert "no correction is applied" in asked.doubt
 
 
 def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_each_other(
@@ -227,6 +227,6 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     told = information @ (6.0 * stream(3, "worth").standard_normal(16))
     followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, rest=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
-    assert "what is applied follows the readings" in followed.doubt
+    assert "the correction uses this scale" in followed.doubt
     assert not bent.shrunk_correction(by_unit)[0].any()
     assert "contradict each other by 2.5 times their noise" in bent.doubt

@@ -113,7 +113,7 @@ def test_a_recording_is_corrected_once(made: Path, capsys: pytest.CaptureFixture
     cal, once, twice = str(made / "cal"), str(tmp_path / "once"), str(tmp_path / "twice")
     assert run(["correct", str(made / "rec"), "--calibration", cal, "--out", once, "-q"]) == 0
     assert run(["correct", once, "--calibration", cal, "--out", twice]) == 2
-    assert "the readings are corrected" in capsys.readouterr().err
+    assert "the readings corrected" in capsys.readouterr().err
     assert not Path(twice).exists()
     assert run(["correct", once, "--calibration", cal, "--out", twice, "--force", "-q"]) == 0
 
