@@ -100,7 +100,9 @@ def _lengths(
 ) -> list[TestEntry]:
     """Every length between targets that a station has seen, against the network's, with the uncertainty of that."""
     names, points = adjusted.recording.targets, adjusted.state.points
-    placed = [t for t in sorted(mean_points) if names[t] not in adjusted.lost_targets and np.isfinite(points[t]).all()]
+    placed = [
+        t for t in sorted(mean_points) if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
+    ]
     pairs = np.array(list(combinations(placed, 2)), dtype=np.int64).reshape(-1, 2)
     if not len(pairs):
         return []

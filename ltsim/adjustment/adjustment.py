@@ -12,19 +12,19 @@ from scipy import special
 from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.frame import on_a_line
-from ltsim.adjustment.known import KnownTest, known_tests
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
     FEW,
-    chance_of_tau,
+    iterative_snooping,
+    noisy_groups,
     normalised,
-    one_after_another,
+    p_value_of_tau,
     redundancy_of,
-    restless,
 )
-from ltsim.adjustment.snooping import poseless, without_loose
+from ltsim.adjustment.snooping import drop_undetermined, pose_defect
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result
@@ -42,7 +42,7 @@ from ltsim.solve.threads import single_threaded
 STEEP = 1e-4
 """Cosine of an elevation below which a pointing is one to the zenith."""
 MOST_NAMED = 4
-MOST_APART = 300
+MAX_TESTED_JOINTLY = 300
 """Readings that do not fit, above which they are not tested one after another: it is the noise."""
 
 
@@ -68,13 +68,13 @@ class Adjustment(Result):
     """(n,): pointings that were left out because they miss their target by far."""
     components: tuple[Component, ...] = ()
     """Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it."""
-    untied: tuple[str, ...] = ()
+    unconnected: tuple[str, ...] = ()
     """Targets that the whole recording does not place, amid the others in the state."""
-    wrong: tuple[KnownTest, ...] = ()
+    rejected_references: tuple[ReferenceTest, ...] = ()
     """Known values that contradict the rest: they were left out, and `recording` states them no more."""
-    axes: tuple[KnownTest, ...] = ()
+    axis_tests: tuple[ReferenceTest, ...] = ()
     """Tests of the coordinates that only define the axes, including those excluded from the datum."""
-    copies: int = 0
+    duplicate_rows: int = 0
     """Rows that repeat others to the last digit: their readings are not counted again."""
     causes: tuple[str, ...] = ()
     """Simple causes that were identified and are in the model, in sentences."""
@@ -117,8 +117,8 @@ class Adjustment(Result):
         model = MeasurementModel(recording, construction or ideal(), tuple(effects))
         if len(state.extra) != model.extra_size:
             state = replace(state, extra=np.zeros(model.extra_size))
-        problem = without_loose(NetworkProblem.of(model, prior=prior), state)
-        lost = poseless(problem, state)
+        problem = drop_undetermined(NetworkProblem.of(model, prior=prior), state)
+        lost = pose_defect(problem, state)
         if lost:
             raise NetworkError(lost)
         try:
@@ -184,17 +184,20 @@ class Adjustment(Result):
         if len(rows):
             where = ", ".join(recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
             return f"{where}: at the zenith an azimuth means nothing, leave it out"
-        held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.known_marks)
+        held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.mark_control)
         lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
         if held < 2 and not lengths:
             cure = "rough coordinates of two targets of the datum would"
             return f"no distance, no known length and no two known points give the network its scale; {cure}"
-        seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-        seen[recording.station, recording.target] = True
-        seen[problem.levels.station] = False  # to an upright station a line is as good as any targets
-        for name, own in zip(recording.stations, seen & (seen.sum(axis=0) > 1), strict=True):
-            if own.sum() > 2 and on_a_line(self.state.points[own]):
-                return f"station {name}: the {own.sum()} targets that it shares with others lie on a line, or nearly so"
+        shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+        shared[recording.station, recording.target] = True
+        shared[problem.levels.station] = False  # to an upright station a line is as good as any targets
+        for name, station_targets in zip(recording.stations, shared & (shared.sum(axis=0) > 1), strict=True):
+            if station_targets.sum() > 2 and on_a_line(self.state.points[station_targets]):
+                shared_count = station_targets.sum()
+                return (
+                    f"station {name}: the {shared_count} targets that it shares with others lie on a line, or nearly so"
+                )
         return ""
 
     @property
@@ -230,24 +233,24 @@ class Adjustment(Result):
         return normalised(self.problem, self.residuals, self.redundancy)
 
     @cached_property
-    def restless(self) -> tuple[Ints, float, float]:
+    def noisy_targets(self) -> tuple[Ints, float, float]:
         """Targets with a noise of their own, the scatter of their readings and of the others over the stated one."""
-        return restless(self.w, self.redundancy, self.recording.target)
+        return noisy_groups(self.w, self.redundancy, self.recording.target)
 
     @cached_property
-    def known(self) -> tuple[KnownTest, ...]:
+    def reference_tests(self) -> tuple[ReferenceTest, ...]:
         """Tests of the known values, each against the rest of the network; those left out come first."""
-        return (*self.wrong, *known_tests(self.problem, self.solution), *self.axes)
+        return (*self.rejected_references, *reference_tests(self.problem, self.solution), *self.axis_tests)
 
     @property
-    def lost_targets(self) -> tuple[str, ...]:
+    def undetermined_targets(self) -> tuple[str, ...]:
         """Targets that were measured, but that the readings in use do not determine: the rest is adjusted."""
         measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
         lost = self.problem.structure.unseen & (measured > 0)
         return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
 
     @property
-    def lost_stations(self) -> tuple[str, ...]:
+    def undetermined_stations(self) -> tuple[str, ...]:
         """Stations of whose pose the readings in use leave something open: it stays where the start had it."""
         held = self.problem.structure.held_poses.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
@@ -262,31 +265,33 @@ class Adjustment(Result):
 
         One after another, as what one of them does to the residuals of others blames none of these; those that no test
         tells from it are beside it. By the stated noise (w), or with sigma0 `estimated` from the residuals themselves
-        (tau): where some targets are `restless`, each that has readings enough by its own.
+        (tau): where some targets are `noisy_targets`, each that has readings enough by its own.
         """
         use, target, count = self.problem.use, self.recording.target, int(self.problem.use.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
         scale = np.full(use.shape, self.sigma0 if estimated else 1.0)
         dof = np.full(use.shape, float(self.dof) if estimated else np.inf)
-        if estimated and len(self.restless[0]):
+        if estimated and len(self.noisy_targets[0]):
             checks = np.bincount(target, np.nansum(self.redundancy, axis=1))
             group = np.where(checks >= FEW, np.arange(len(checks)), -1)[target]
-            for own in (group == one for one in np.unique(group)):
-                dof[own] = np.nansum(self.redundancy[own])
-                scale[own] = np.linalg.norm(whitened[own]) / np.sqrt(dof[own])
-        some = use & (chance_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count) < level)
-        rows, columns = np.nonzero(some)
-        unit, place = self.problem.sigma[some], list(zip(rows.tolist(), columns.tolist(), strict=True))
-        found = one_after_another(whitened[some], self._shown(rows, columns), scale[some], dof[some], count, level)
-        return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in found]
+            for rows_of_group in (group == number for number in np.unique(group)):
+                dof[rows_of_group] = np.nansum(self.redundancy[rows_of_group])
+                scale[rows_of_group] = np.linalg.norm(whitened[rows_of_group]) / np.sqrt(dof[rows_of_group])
+        flagged = use & (p_value_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count) < level)
+        rows, columns = np.nonzero(flagged)
+        unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
+        outliers = iterative_snooping(
+            whitened[flagged], self._shown(rows, columns), scale[flagged], dof[flagged], count, level
+        )
+        return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _shown(self, rows: Ints, columns: Ints) -> Floats:
         """(k, k) What an error of each of some readings in use does to the residuals of all of them, in their sigmas.
 
-        Of more than `MOST_APART` nobody tells one from another: each is taken for itself.
+        Of more than `MAX_TESTED_JOINTLY` nobody tells one from another: each is taken for itself.
         """
         use = self.problem.use
-        if len(rows) > MOST_APART:
+        if len(rows) > MAX_TESTED_JOINTLY:
             return np.diag(self.redundancy[rows, columns])
         at = (np.cumsum(use) - 1).reshape(use.shape)[rows, columns]
         design = as_dense(self.solution.system.design[at])
@@ -299,7 +304,7 @@ class Adjustment(Result):
         return covariance if self.datum is None else self.datum.transformed(covariance, columns)
 
     @cached_property
-    def kept_covariance(self) -> Floats:
+    def reduced_covariance(self) -> Floats:
         """Covariance (K, K) of poses, kept targets, instrument parameters and further effects."""
         covariance = self.factor.reduced_covariance()
         if self.datum is None:
@@ -344,14 +349,14 @@ class Adjustment(Result):
         """Covariance (T, 3, 3) [m^2] of each target; NaN where no reading in use tells it."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target), 3, 3))
-        kept = unknowns.target[:, 0] < unknowns.kept
-        covariance[kept] = self.factor.reduced_sets(unknowns.target[kept])
+        is_reduced = unknowns.target[:, 0] < unknowns.n_reduced
+        covariance[is_reduced] = self.factor.reduced_sets(unknowns.target[is_reduced])
         blocks = self.factor.block_covariance()
-        covariance[~kept] = blocks[(unknowns.target[~kept][:, 0] - unknowns.kept) // 3]
+        covariance[~is_reduced] = blocks[(unknowns.target[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
         if self.datum is not None:
             covariance = self.datum.transformed(covariance, unknowns.target)
-            own = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
-            covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
+            diagonal = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
+            covariance[:, diagonal, diagonal] = np.maximum(covariance[:, diagonal, diagonal], 0.0)
         covariance[self.problem.structure.unseen] = np.nan
         covariance[self.open_heights, 2] = covariance[self.open_heights, :, 2] = np.nan
         return covariance
@@ -360,7 +365,7 @@ class Adjustment(Result):
     def open_heights(self) -> Bools:
         """(T,): targets in plan only, that no reading gives a height."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
-        return np.asarray(self.problem.structure.flat | np.array(plan, dtype=bool))
+        return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
@@ -376,6 +381,6 @@ class Adjustment(Result):
 
         ModelError when a target does not exist, or these do not hold the free motions.
         """
-        every = [name for name in self.recording.targets if name not in self.lost_targets]
+        every = [name for name in self.recording.targets if name not in self.undetermined_targets]
         datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
         return replace(self, datum=datum)

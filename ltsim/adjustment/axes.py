@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import misses
-from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.core.units import MILLIMETRE
@@ -37,11 +37,11 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     mirrored, of another scale, or known points define the frame already.
     """
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
-    _require_no_known_points(recording, source)
+    _require_free_frame(recording, source)
     if len(common) < 3:
         message = f"holds {len(common)} of the recording's targets, expected three off one line or more"
         raise RecordError(message, file=source)
-    (_, _, reached), _ = reached_network(recording)
+    (_, _, reached), _ = initial_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
     there = np.array([points[name] for name in common])
     _check_shape(here, there, source)
@@ -58,7 +58,7 @@ def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -
     """
     adjusted = adjust(recording)
     at = np.array([recording.targets.index(name) for name in names])
-    determined = ~np.isin(np.array(names), adjusted.lost_targets)
+    determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
     turn, _ = robust_align(adjusted.state.points[at[determined]], there[determined])
     lines = verticals(adjusted.recording) @ turn.T
     stations = dict(recording.setup.stations)
@@ -83,7 +83,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     for name in three:
         if name not in recording.targets:
             raise RecordError(f"the axes name the target '{shown(name)}', which was never measured")
-    _require_no_known_points(recording)
+    _require_free_frame(recording)
     a, b, c = adjust(recording).state.points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))
@@ -94,8 +94,8 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
     held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
     framed = _with_datum(recording, places, held)
-    said = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
-    return framed.replace(notes=(*framed.notes, said))
+    note = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
+    return framed.replace(notes=(*framed.notes, note))
 
 
 def with_control(recording: Recording, path: Path) -> Recording:
@@ -105,30 +105,30 @@ def with_control(recording: Recording, path: Path) -> Recording:
 
     RecordError for a malformed file, one without standard deviations, or one that names no measured target.
     """
-    listed, targets, found = read_points(path, strict=False), dict(recording.setup.targets), 0
+    listed, targets, count = read_points(path, strict=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
-        known = np.isfinite(place)
-        if name not in recording.targets or not known.any():
+        is_given = np.isfinite(place)
+        if name not in recording.targets or not is_given.any():
             continue
-        spread = np.where(np.outer(known, known), covariance, np.eye(3)) / MILLIMETRE**2
+        spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= LEAST_SIGMA):
             message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             raise RecordError(f"{message}; coordinates without weight go with --frame", file=path, row=line)
-        stated = {
+        update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
-            "known_axes": "".join(axis for axis, is_known in zip("xyz", known, strict=True) if is_known),
+            "known_axes": "".join(axis for axis, is_given_axis in zip("xyz", is_given, strict=True) if is_given_axis),
             "known_covariance_mm2": tuple(spread[np.triu_indices(3)].tolist()),
         }
-        targets[name] = targets.get(name, Target()).model_copy(update=stated)
-        found += 1
-    if not found:
+        targets[name] = targets.get(name, Target()).model_copy(update=update)
+        count += 1
+    if not count:
         raise RecordError("names none of the recording's targets; names must be written alike", file=path)
-    said = f"{found} control points of {path.name}, each with its standard deviation"
+    note = f"{count} control points of {path.name}, each with its standard deviation"
     setup = recording.setup.model_copy(update={"targets": targets})
-    return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, said))
+    return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, note))
 
 
-def _require_no_known_points(recording: Recording, source: str | None = None) -> None:
+def _require_free_frame(recording: Recording, source: str | None = None) -> None:
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         message = f"the recording's known points define the axes already: leave {option('frame')} out"
         raise RecordError(message, file=source)
@@ -144,10 +144,10 @@ def _check_shape(here: Floats, there: Floats, source: str) -> None:
     typical = float(np.median(misses(here, there, motions[0])))
     is_mirrored = float(np.median(misses(mirror, there, motions[1]))) * CLEARLY < typical
     pairs = np.triu_indices(len(here), 1)
-    lengths, stated = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (here, there))
+    lengths, declared = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (here, there))
     if typical < SHAPE * float(np.median(lengths)) and not is_mirrored:
         return
-    scale = float(np.median(stated / np.maximum(lengths, 1e-9)))
+    scale = float(np.median(declared / np.maximum(lengths, 1e-9)))
     if abs(scale - 1.0) > SHAPE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
@@ -163,6 +163,6 @@ def _with_datum(
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
     for name, place in places.items():
         x, y, z = (place / MILLIMETRE).tolist()
-        known = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": held.get(name, "xyz")}
-        targets[name] = targets.get(name, Target()).model_copy(update=known)
+        update = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": held.get(name, "xyz")}
+        targets[name] = targets.get(name, Target()).model_copy(update=update)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "axes": source}))

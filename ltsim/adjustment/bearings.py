@@ -31,7 +31,7 @@ class Lines:
 
 
 def plan_of(
-    setup: Ints, start: Ints, end: Ints, turn: Floats, known: Floats, lines: Lines
+    setup: Ints, start: Ints, end: Ints, turn: Floats, control: Floats, lines: Lines
 ) -> tuple[Floats, Floats, bool] | None:
     """Places (P, 2) in plan and yaws (S,) [rad] that directions and lengths tell, and whether they are in frame.
 
@@ -44,7 +44,7 @@ def plan_of(
         Upright set-up of each direction, the place where it stands, and that to which it points.
     turn : (n,) float, [rad]
         Reading of the circle.
-    known : (P, 2) float, [m]
+    control : (P, 2) float, [m]
         NaN where a place is not known.
     lines : Lines
         Lengths count along lines whose direction is read from one of their ends.
@@ -55,28 +55,30 @@ def plan_of(
     used, at = np.unique(np.concatenate([start[rows], end[rows]]), return_inverse=True)
     first, second = at.reshape(2, -1)
     along, length = _lengths_along(lines, start[rows], end[rows])
-    told = np.isfinite(known[used]).all(axis=1)
-    if told.sum() < 2 and not len(along):
+    has_control = np.isfinite(control[used]).all(axis=1)
+    if has_control.sum() < 2 and not len(along):
         return None
     shape = _shape(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
-    places, is_known = np.full(known.shape, np.nan), bool(told.sum() > 1)
+    places, is_in_frame = np.full(control.shape, np.nan), bool(has_control.sum() > 1)
     turned = 1.0 + 0.0j
-    if is_known:
+    if is_in_frame:
         basis = np.stack([shape, np.ones(len(shape))], axis=1)
-        fitted = np.linalg.lstsq(basis[told], known[used][told] @ [1.0, 1j], rcond=None)[0]
+        fitted = np.linalg.lstsq(basis[has_control], control[used][has_control] @ [1.0, 1j], rcond=None)[0]
         shape, turned = basis @ fitted, fitted[0]
     places[used] = np.stack([shape.real, shape.imag], axis=1)
-    return places, yaw + float(np.angle(turned)), is_known
+    return places, yaw + float(np.angle(turned)), is_in_frame
 
 
 def _lengths_along(lines: Lines, start: Ints, end: Ints) -> tuple[Ints, Floats]:
     """Directions (k,) whose line has a length read from one of its ends, and that length (k,)."""
     lengths: dict[tuple[int, int], float] = {}
-    for one, other, length in zip(lines.start.tolist(), lines.end.tolist(), lines.length.tolist(), strict=True):
-        lengths.setdefault((one, other), length)
-        lengths.setdefault((other, one), length)
+    for start_place, end_place, length in zip(
+        lines.start.tolist(), lines.end.tolist(), lines.length.tolist(), strict=True
+    ):
+        lengths.setdefault((start_place, end_place), length)
+        lengths.setdefault((end_place, start_place), length)
     pairs = list(zip(start.tolist(), end.tolist(), strict=True))
     along = np.flatnonzero([pair in lengths for pair in pairs])
     return along, np.array([lengths[pairs[i]] for i in along])
@@ -129,10 +131,10 @@ def _shape(
     design = _design(first, second, bearing, along, count)
     right = np.zeros(len(design))
     right[len(bearing) : len(bearing) + len(along)] = length
-    left, size, rows = np.linalg.svd(design, full_matrices=False)
+    u, size, rows = np.linalg.svd(design, full_matrices=False)
     if size[-1 if len(along) else -2] < LOOSE * size[0]:
         return None
-    plan = rows.T @ ((left.T @ right) / size) if len(along) else rows[-1]
+    plan = rows.T @ ((u.T @ right) / size) if len(along) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
     forward = np.real((shape[second] - shape[first]) * np.exp(-1j * bearing))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)
@@ -146,10 +148,10 @@ def _yaws(setup: Ints, start: Ints, end: Ints, turn: Floats) -> Floats:
     lines = list(zip(setup.tolist(), start.tolist(), end.tolist(), turn.tolist(), strict=True))
     before = -1
     while before < (before := len(bearings)):
-        for s, one, other, turned in lines:
-            if np.isnan(yaw[s]) and (one, other) in bearings:
-                yaw[s] = bearings[one, other] - turned
+        for s, start_place, end_place, turned in lines:
+            if np.isnan(yaw[s]) and (start_place, end_place) in bearings:
+                yaw[s] = bearings[start_place, end_place] - turned
             if np.isfinite(yaw[s]):
-                bearings.setdefault((one, other), yaw[s] + turned)
-                bearings.setdefault((other, one), yaw[s] + turned + np.pi)
+                bearings.setdefault((start_place, end_place), yaw[s] + turned)
+                bearings.setdefault((end_place, start_place), yaw[s] + turned + np.pi)
     return yaw

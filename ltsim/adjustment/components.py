@@ -58,7 +58,7 @@ def estimated_components(
     group = np.arange(3) + 3 * several * recording.instrument[:, None]
     names = recording.instruments if several else ("",)
     factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
-    stated, available = problem, problem.use if use is None else use
+    declared, available = problem, problem.use if use is None else use
     for _ in range(ROUNDS):
         for _ in range(PASSES):
             if solution.factor is None:
@@ -67,12 +67,12 @@ def estimated_components(
             enough = redundancy > LEAST
             change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
             factor = factor * np.maximum(change, 0.1)
-            problem = _scaled(stated, factor, group, problem.use)
+            problem = _scaled(declared, factor, group, problem.use)
             solution = solve(problem, solution.x)
             if np.max(np.abs(change - 1.0)) < CLOSE:
                 break
         before = problem.use
-        problem, solution = find(_scaled(stated, factor, group, available), solution.x)
+        problem, solution = find(_scaled(declared, factor, group, available), solution.x)
         if np.array_equal(problem.use, before):
             break
     sigma = np.where(redundancy > LEAST, factor / np.sqrt(2 * np.maximum(redundancy, LEAST)), np.inf)
@@ -82,10 +82,10 @@ def estimated_components(
     return problem, solution, tuple(Component(*kind, *numbers) for kind, *numbers in rows)
 
 
-def _scaled(stated: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
+def _scaled(declared: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
     """The problem with other standard deviations: a factor for each group, the last for the levels."""
-    levels = replace(stated.levels, sigma=stated.levels.sigma * factor[-1])
-    return replace(stated, sigma=stated.sigma * factor[group], levels=levels, use=use)
+    levels = replace(declared.levels, sigma=declared.levels.sigma * factor[-1])
+    return replace(declared, sigma=declared.sigma * factor[group], levels=levels, use=use)
 
 
 def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:

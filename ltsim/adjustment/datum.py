@@ -32,7 +32,7 @@ class Tied:
     """(k, 3): their columns in the vector of unknowns."""
     places: Floats
     """(k, 3) [m]: where they are."""
-    stated: Floats
+    approximate: Floats
     """(k, 3) [m]: approximate coordinates, NaN where none are stated and along axes that do not count."""
     counts: Bools
     """(k, 3): coordinates that the datum is tied to."""
@@ -43,7 +43,7 @@ class Tied:
         recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
         stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
-        columns, places, stated, axes = [], [], [], []
+        columns, places, approximate, axes = [], [], [], []
         for name in names:
             if name in targets:
                 columns.append(unknowns.target[targets[name]])
@@ -54,14 +54,14 @@ class Tied:
             else:
                 raise unknown_name("target of the datum", name, [*targets, *stations])
             setup = recording.target_setup(name)
-            stated.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
+            approximate.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
             axes.append([axis in setup.datum_axes for axis in "xyz"])
         counts = np.array(axes)
-        goal = np.where(counts, np.array(stated) * MILLIMETRE, np.nan)
+        goal = np.where(counts, np.array(approximate) * MILLIMETRE, np.nan)
         return cls(np.array(columns), np.array(places), goal, counts)
 
 
-def stated_datum(problem: NetworkProblem) -> tuple[str, ...]:
+def chosen_datum(problem: NetworkProblem) -> tuple[str, ...]:
     """Names of the points that the set-up chose for the datum and that the recording reaches."""
     recording = problem.model.recording
     reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.names)])
@@ -73,13 +73,13 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
     turned = 0.0
     for _ in range(PASSES):
         tied = Tied.of(problem, state, names)
-        known = np.isfinite(tied.stated)
-        if not known.any():
+        has_goal = np.isfinite(tied.approximate)
+        if not has_goal.any():
             break
-        centre = tied.places[known.any(axis=1)].mean(axis=0)
+        centre = tied.places[has_goal.any(axis=1)].mean(axis=0)
         free, grown = about(problem.free, centre), _growth(problem)
-        motion = np.hstack([rigid_motion(tied.places, centre) @ free, grown(tied.places - centre)])[known.ravel()]
-        gap = (tied.stated - tied.places)[known]
+        motion = np.hstack([rigid_motion(tied.places, centre) @ free, grown(tied.places - centre)])[has_goal.ravel()]
+        gap = (tied.approximate - tied.places)[has_goal]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
         shift, turn = (free @ amount[: free.shape[1]]).reshape(2, 3)
         rotation, more = from_rotation_vector(turn), amount[free.shape[1] :]

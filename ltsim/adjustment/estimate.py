@@ -8,15 +8,15 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.components import Component, Grouping, estimated_components
-from ltsim.adjustment.datum import InnerDatum, about, moved_to_datum, stated_datum
+from ltsim.adjustment.datum import InnerDatum, about, chosen_datum, moved_to_datum
 from ltsim.adjustment.frame import misses
-from ltsim.adjustment.known import KINDS, SIGMAS, KnownTest, judged
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK, NetworkProblem
+from ltsim.adjustment.reference_tests import KINDS, SIGMAS, ReferenceTest, snoop_references
+from ltsim.adjustment.reference_values import Kind
 from ltsim.adjustment.rows import Marks
 from ltsim.adjustment.singular import refusing_singular
-from ltsim.adjustment.snooping import copied_rows, screened, snooped, without_loose
-from ltsim.adjustment.stated import Kind
+from ltsim.adjustment.snooping import copied_rows, drop_undetermined, screen_gross_errors, snoop_readings
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.units import MILLIMETRE
@@ -88,7 +88,7 @@ def adjust(
     -------
     Adjustment
         In the frame of the first station unless control points, levels or a datum define another. Targets that the
-        readings in use do not determine are left out (`lost_targets`). Its solution
+        readings in use do not determine are left out (`undetermined_targets`). Its solution
         carries a status; an adjustment that did not converge is returned, not raised.
 
     Raises
@@ -106,8 +106,8 @@ def adjust(
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     searched = start is None
     if start is None:
-        _, network, gross, lost = screened(recording)
-        gross &= ~_beside_marks(recording, gross)
+        _, network, gross, lost = screen_gross_errors(recording)
+        gross &= ~_over_wrong_marks(recording, gross)
         parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
         start = State(*network, parameters)
     recording = with_plumb_lines(recording, start.position)
@@ -116,15 +116,15 @@ def adjust(
         start = replace(start, extra=np.zeros(model.extra_size))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
-    find = snooped if robust else _solved
+    find = snoop_readings if robust else _solved
     whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to, prior=prior)
     _check_normals(whole)
     start = replace(start, position=whole.marks.on_marks(start.position, start.points))
-    whole = without_loose(whole, start)
-    wrong: tuple[KnownTest, ...] = ()
+    whole = drop_undetermined(whole, start)
+    wrong: tuple[ReferenceTest, ...] = ()
     if searched and not (robust and whole.knows_nothing):
         sound = replace(whole, use=whole.use & ~gross[:, None]) if robust and gross.any() else whole
-        problem, solution, wrong = judged(sound, solve(sound, start), judging)
+        problem, solution, wrong = snoop_references(sound, solve(sound, start), judging)
         model = problem.model
     if wrong and robust:
         whole, start = whole.on(model), solution.x
@@ -133,10 +133,10 @@ def adjust(
     components: tuple[Component, ...] = ()
     if variance_components is not None:
         problem, solution, components = estimated_components(problem, solution, variance_components, find, whole.use)
-    untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
+    unconnected = tuple(recording.targets[i] for i in np.flatnonzero(lost))
     gross &= ~problem.use.any(axis=1)
-    found = Adjustment(problem, solution, gross, components, untied, wrong, copies=int(copied.sum()))
-    return _in_datum(found, datum)
+    adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, duplicate_rows=int(copied.sum()))
+    return _in_datum(adjustment, datum)
 
 
 def _check_marks(recording: Recording) -> None:
@@ -145,8 +145,8 @@ def _check_marks(recording: Recording) -> None:
         return
     marks = Marks.of(recording)
     height = np.linalg.norm(marks.offset, axis=1)
-    own = marks.target[recording.station] == recording.target
-    rows = np.flatnonzero(own & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
+    is_mark_of_station = marks.target[recording.station] == recording.target
+    rows = np.flatnonzero(is_mark_of_station & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
     if len(rows):
         station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
         raise NetworkError(
@@ -155,7 +155,7 @@ def _check_marks(recording: Recording) -> None:
         )
 
 
-def _beside_marks(recording: Recording, gross: Bools) -> Bools:
+def _over_wrong_marks(recording: Recording, gross: Bools) -> Bools:
     """(n,) True for the pointings of a set-up over a mark most of which miss: its height or its mark may be wrong."""
     count = len(recording.stations)
     over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
@@ -185,8 +185,8 @@ def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustmen
 
     Of the latter only those count that the readings determine; where they only give axes, they are tested first.
     """
-    problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.lost_targets
-    names = [name for name in stated_datum(problem) if name not in lost] if chosen is None else list(chosen)
+    problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
+    names = [name for name in chosen_datum(problem) if name not in lost] if chosen is None else list(chosen)
     for name in chosen or ():
         if name in lost:
             raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
@@ -195,7 +195,7 @@ def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustmen
     if adjustment.recording.setup.axes and chosen is None and len(names) >= LEAST:
         fitted, tests = fitted_axes(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
-        adjustment, names = replace(adjustment, problem=problem, axes=tests), list(stated_datum(problem))
+        adjustment, names = replace(adjustment, problem=problem, axis_tests=tests), list(chosen_datum(problem))
     state, turned = moved_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
     if turned > TURNED:  # The factor belongs to the frame it was computed in.
@@ -215,7 +215,7 @@ OPEN = 1e-6
 """Share of a point's error that its residual shows below which the others say nothing of it."""
 
 
-def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[KnownTest, ...]]:
+def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
     """The recording with its datum at the points that agree about the axes, and the test of each point.
 
     Each is tested by what the others say: what it misses their axes by is compared with the network's own uncertainty
@@ -223,13 +223,13 @@ def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording
     leave the axes open, it keeps the part that they do not check.
     """
     recording = adjustment.recording
-    stated = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
+    declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
     here = adjustment.state.points[[recording.targets.index(name) for name in names]]
-    off = misses(here, stated, robust_align(here, stated))
+    off = misses(here, declared, robust_align(here, declared))
     use = off <= max(CLEARLY * float(np.median(off)), GROSS)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
-        tests = _axes_tests(adjustment, names, stated, use)
+        tests = _axes_tests(adjustment, names, declared, use)
         ratio = np.array([test.w / test.critical for test in tests])
         if (~use & (ratio <= 1.0)).any():
             k = int(np.argmin(np.where(use, np.inf, ratio)))
@@ -238,64 +238,64 @@ def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording
         else:
             break
         if use[k] and use.sum() <= LEAST:
-            tests[k] = replace(tests[k], left_out=True)
-            stated[k] -= tests[k].error
+            tests[k] = replace(tests[k], excluded=True)
+            declared[k] -= tests[k].error
             break
         use = use ^ (np.arange(len(names)) == k)
     targets = dict(recording.setup.targets)
-    for name, used, place in zip(names, use, stated / MILLIMETRE, strict=True):
+    for name, used, place in zip(names, use, declared / MILLIMETRE, strict=True):
         targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
 
 
-def _axes_tests(adjustment: Adjustment, names: Sequence[str], stated: Floats, use: Bools) -> list[KnownTest]:
+def _axes_tests(adjustment: Adjustment, names: Sequence[str], declared: Floats, use: Bools) -> list[ReferenceTest]:
     """Each point, stated (k, 3), by what the points in use (k,) say without it."""
     chosen = [name for name, used in zip(names, use, strict=True) if used]
-    found = adjustment.in_inner_datum(chosen)
-    at = [found.recording.targets.index(name) for name in names]
-    state, _ = moved_to_datum(found.problem, found.state, chosen)
-    turn = state.rotation[0] @ found.state.rotation[0].T
-    own = turn @ found.target_covariance[at] @ turn.T
-    gap, places = stated - state.points[at], state.points[at]
+    adjusted = adjustment.in_inner_datum(chosen)
+    at = [adjusted.recording.targets.index(name) for name in names]
+    state, _ = moved_to_datum(adjusted.problem, adjusted.state, chosen)
+    turn = state.rotation[0] @ adjusted.state.rotation[0].T
+    covariance = turn @ adjusted.target_covariance[at] @ turn.T
+    gap, places = declared - state.points[at], state.points[at]
     centre = places[use].mean(axis=0)
-    free = about(found.problem.free, centre)
+    free = about(adjusted.problem.free, centre)
     motion = (rigid_motion(places, centre) @ free).reshape(-1, 3, free.shape[1])
     carried = motion @ np.linalg.inv(np.linalg.qr(motion[use].reshape(-1, motion.shape[2]))[1])
     held = carried @ np.swapaxes(carried, 1, 2)
-    square = float(np.sum(gap[use] ** 2)) - float(np.trace(own[use].sum(axis=0)))
+    square = float(np.sum(gap[use] ** 2)) - float(np.trace(covariance[use].sum(axis=0)))
     rest = square, 3 * int(use.sum()) - motion.shape[2], LEVEL / len(names)
-    return [_test(name, gap[k], own[k], held[k], used=bool(use[k]), rest=rest) for k, name in enumerate(names)]
+    return [_test(name, gap[k], covariance[k], held[k], used=bool(use[k]), rest=rest) for k, name in enumerate(names)]
 
 
 def _test(
-    name: str, gap: Floats, own: Floats, held: Floats, *, used: bool, rest: tuple[float, int, float]
-) -> KnownTest:
-    """The test of a point off by `gap` (3,): `own` its covariance in the network, `held` what it adds to the axes.
+    name: str, gap: Floats, covariance: Floats, held: Floats, *, used: bool, rest: tuple[float, int, float]
+) -> ReferenceTest:
+    """Test of a point with misclosure `gap` (3,) and `covariance` (3, 3) in the network; `held` its share in the axes.
 
     With R = 1 - `held` of a point in use, its residual is R times its error; another shows its error whole.
     """
     share, turned = np.linalg.eigh(np.eye(3) - held if used else np.eye(3) + held)
-    seen = share > OPEN
-    turned, share = turned[:, seen], share[seen]
+    is_checked = share > OPEN
+    turned, share = turned[:, is_checked], share[is_checked]
     shown = share if used else np.ones(len(share))
     square, dof, level = rest
     error = turned.T @ gap / shown
     if used:
-        square, dof = square - float(share @ error**2) + float(np.trace(own)), dof - len(share)
+        square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
     scatter = max(square, 0.0) / max(dof, 1)
-    network = (turned.T @ own @ turned) / np.outer(shown, shown)
+    network = (turned.T @ covariance @ turned) / np.outer(shown, shown)
     spread = network + np.diag(scatter / share if used else scatter * share)
     limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
-    return KnownTest(
+    return ReferenceTest(
         kind="axes",
         name=name,
         axes="xyz",
-        sigma=np.sqrt(np.diag(own) + scatter),
+        sigma=np.sqrt(np.diag(covariance) + scatter),
         residual=gap,
         error=turned @ error,
         sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
-        drop=float(error @ np.linalg.solve(spread, error)),
+        chi2_drop=float(error @ np.linalg.solve(spread, error)),
         rank=len(share),
-        left_out=not used,
+        excluded=not used,
         critical=max(SIGMAS, float(np.sqrt(limit))),
     )

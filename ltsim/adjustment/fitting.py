@@ -129,17 +129,17 @@ def fit_point(sight: Sight, position: Floats, rotation: Floats) -> Floats | None
 
     starts = _along(sight.readings, lifted, rotation)
     free = np.arange(6) < 3
-    found = _clearest(sight.count, lifted, _descend(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1))))
-    return None if found is None else found[0]
+    pose = _clearest(sight.count, lifted, _descend(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1))))
+    return None if pose is None else pose[0]
 
 
-def _clearest(count: int, around: Floats, found: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats] | None:
+def _clearest(count: int, around: Floats, solutions: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats] | None:
     """The first of the solutions, sorted by cost, where it is good and the only one as good, for `count` readings."""
-    cost, x, rotation = found
+    cost, x, rotation = solutions
     if not cost[0] < WORST**2 * count:
         return None
-    apart = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(around - x[0]).max())
-    other = cost[apart + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > SAME]
+    distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(around - x[0]).max())
+    other = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > SAME]
     clear = not len(other) or float(other[0]) > CLEARLY * float(cost[0]) + count
     return (x[0], rotation[0]) if clear else None
 
@@ -222,10 +222,10 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
         return None
     squares = ranges**2
     product = -0.5 * (squares - squares[:1] - squares[:, :1] + squares[0, 0])
-    left, singular, right = np.linalg.svd(product)
+    u, singular, right = np.linalg.svd(product)
     if singular[2] < 1e-6 * singular[0]:
         return None
-    stations, targets = left[:, :3] * singular[:3], right[:3].T
+    stations, targets = u[:, :3] * singular[:3], right[:3].T
     x, y, z = targets.T
     quadratic = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
     values = np.linalg.lstsq(quadratic[1:], (squares[0] - squares[0, 0])[1:], rcond=None)[0]

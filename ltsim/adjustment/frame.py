@@ -55,23 +55,26 @@ class Frame:
         """The frame of a recording."""
         marks = Marks.of(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
-        alone, told = [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)], _told(recording)
+        alone, by_name = (
+            [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)],
+            _places_by_name(recording),
+        )
         return cls(
-            _metres([told.get(name) or _stated(recording, name) for name in recording.targets]),
-            _metres([told.get(name) or _stated(recording, name) for name in alone]) + marks.offset,
+            _metres([by_name.get(name) or _declared(recording, name) for name in recording.targets]),
+            _metres([by_name.get(name) or _declared(recording, name) for name in alone]) + marks.offset,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
             _metres([s.position_mm or NOWHERE for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
             np.array([s.yaw_sigma_arcsec is not None for s in setups], dtype=bool),
-            _metres([_stated(recording, name, chosen=False) for name in recording.targets]),
+            _metres([_declared(recording, name, chosen=False) for name in recording.targets]),
             _metres([_in_plan(recording.target_setup(name)) for name in recording.targets]),
         )
 
     @property
-    def is_stated(self) -> bool:
+    def has_places(self) -> bool:
         """Whether any place is known."""
-        return any(bool(np.isfinite(known).any()) for known in (self.points, self.stations, self.in_plan))
+        return any(bool(np.isfinite(places).any()) for places in (self.points, self.stations, self.in_plan))
 
     def common(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Places (k, 3) of a network that the frame states too, and where it states them."""
@@ -110,35 +113,35 @@ class Frame:
         The rough places of two stations and more say it, or the place and yaw of one. Places that the network misses by
         more than `ROUGH_PLACE` belong to another frame and say nothing.
         """
-        known = np.flatnonzero(np.isfinite(self.plan).all(axis=1) & np.isfinite(position).all(axis=1))
-        if len(known) > 1:
+        planned = np.flatnonzero(np.isfinite(self.plan).all(axis=1) & np.isfinite(position).all(axis=1))
+        if len(planned) > 1:
             try:
-                motion = upright_alignment(position[known], self.plan[known])
+                motion = upright_alignment(position[planned], self.plan[planned])
             except NetworkError:
                 return None
-            return motion if misses(position[known], self.plan[known], motion).max() < ROUGH_PLACE else None
-        if not len(known) or not np.isfinite(self.yaw[known[0]]):
+            return motion if misses(position[planned], self.plan[planned], motion).max() < ROUGH_PLACE else None
+        if not len(planned) or not np.isfinite(self.yaw[planned[0]]):
             return None
-        ahead = rotation[known[0], :, 0]
-        turn = about_z(float(self.yaw[known[0]] - np.arctan2(ahead[1], ahead[0])))
-        return turn, self.plan[known[0]] - turn @ position[known[0]]
+        ahead = rotation[planned[0], :, 0]
+        turn = about_z(float(self.yaw[planned[0]] - np.arctan2(ahead[1], ahead[0])))
+        return turn, self.plan[planned[0]] - turn @ position[planned[0]]
 
-    def hand(self, here: Floats, there: Floats) -> Floats | None:
+    def chirality(self, here: Floats, there: Floats) -> Floats | None:
         """Factors (3,) that turn a network of ranges at `here` (k, 3) into its mirror image or leave it; None: unknown.
 
         Ranges have no hand: places that are stated `there` roughly (NaN elsewhere) tell it when they are off one plane.
         """
-        stated = np.isfinite(there).all(axis=1)
-        here, there = here[stated], there[stated]
+        has_place = np.isfinite(there).all(axis=1)
+        here, there = here[has_place], there[has_place]
         if len(here) < 4 or _thickness(there) < ROUGH_PLACE:
             return None
         both = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, -1.0]])
         rests = [np.linalg.norm(misses(here * factors, there, align(here * factors, there))) for factors in both]
         return both[int(np.argmin(rests))]
 
-    def tells_hand(self, position: Floats, points: Floats) -> bool:
+    def resolves_mirror(self, position: Floats, points: Floats) -> bool:
         """Whether rough places tell a network of ranges from its mirror image."""
-        return self.hand(np.concatenate([position, points]), np.concatenate([self.plan, self.near])) is not None
+        return self.chirality(np.concatenate([position, points]), np.concatenate([self.plan, self.near])) is not None
 
     def placed(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
         """Targets (t, 3) of a network of ranges, in the hand and in the places that are stated roughly.
@@ -146,13 +149,13 @@ class Frame:
         And whether they are in these places: three off one line say so.
         """
         here, there = np.concatenate([position, points]), np.concatenate([self.plan[stations], self.near[targets]])
-        factors = self.hand(here, there)
+        factors = self.chirality(here, there)
         if factors is not None:
             here, points = here * factors, points * factors
-        stated = np.isfinite(there).all(axis=1)
-        if stated.sum() < 3 or on_a_line(there[stated]):
+        has_place = np.isfinite(there).all(axis=1)
+        if has_place.sum() < 3 or on_a_line(there[has_place]):
             return points, False
-        rotation, shift = align(here[stated], there[stated])
+        rotation, shift = align(here[has_place], there[has_place])
         return points @ rotation.T + shift, True
 
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
@@ -178,23 +181,29 @@ class Frame:
         return smallest_turn(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
-def _told(recording: Recording) -> dict[str, tuple[float, ...]]:
+def _places_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
     """Places [mm] of marks that are known, and of those that known differences tell from them one after another."""
     targets = recording.setup.targets
-    found: dict[str, tuple[float, ...]] = {
+    places: dict[str, tuple[float, ...]] = {
         name: target.known_mm
         for name, target in targets.items()
         if target.known_mm is not None and target.known_axes == "xyz"
     }
-    whole = [one for one in recording.setup.differences if one.known_axes == "xyz"]
-    while ends := [(one, one.to in found) for one in whole if (one.from_ in found) != (one.to in found)]:
-        for one, back in ends:
-            there, here, sign = (one.to, one.from_, -1.0) if back else (one.from_, one.to, 1.0)
-            found[here] = tuple(a + sign * b for a, b in zip(found[there], one.known_mm, strict=True))
-    return found
+    whole = [difference for difference in recording.setup.differences if difference.known_axes == "xyz"]
+    while ends := [
+        (difference, difference.to in places)
+        for difference in whole
+        if (difference.from_ in places) != (difference.to in places)
+    ]:
+        for difference, back in ends:
+            there, here, sign = (
+                (difference.to, difference.from_, -1.0) if back else (difference.from_, difference.to, 1.0)
+            )
+            places[here] = tuple(a + sign * b for a, b in zip(places[there], difference.known_mm, strict=True))
+    return places
 
 
-def _stated(recording: Recording, name: str, *, chosen: bool = True) -> tuple[float, ...]:
+def _declared(recording: Recording, name: str, *, chosen: bool = True) -> tuple[float, ...]:
     """Known place [mm] of a target, or its approximate one, where it is `chosen` for the datum alone if asked so."""
     target = recording.target_setup(name) if name else None
     if target is None:
@@ -290,13 +299,15 @@ class Pairs:
 
     def medians(self, values: Floats, which: Ints) -> Floats:
         """Median (k, 3) over stations of values (m, 3) of some targets, leaving out NaN; NaN where all are."""
-        found = np.full((len(which), 3), np.nan)
+        medians = np.full((len(which), 3), np.nan)
         for low in range(0, len(which), AT_ONCE):
             first, end = self.first[which[low : low + AT_ONCE]], self.first[which[low : low + AT_ONCE] + 1]
             place = first[:, None] + np.arange((end - first).max(initial=0))
             pair = self.order[np.minimum(place, len(self) - 1)]
-            found[low : low + AT_ONCE] = _nan_median(np.where((place < end[:, None])[:, :, None], values[pair], np.nan))
-        return found
+            medians[low : low + AT_ONCE] = _nan_median(
+                np.where((place < end[:, None])[:, :, None], values[pair], np.nan)
+            )
+        return medians
 
 
 def _nan_median(values: Floats) -> Floats:

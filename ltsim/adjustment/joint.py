@@ -39,5 +39,5 @@ def covariance_csv(adjustment: Adjustment, spread: Floats | None = None) -> str 
         covariance = covariance + errors.T @ errors
     determined = np.isfinite(np.diag(covariance))
     coordinates = [f"{name}.{axis}" for name in names for axis in AXES]
-    kept = np.flatnonzero(determined)
-    return covariance_text([coordinates[i] for i in kept.tolist()], covariance[np.ix_(kept, kept)])
+    rows = np.flatnonzero(determined)
+    return covariance_text([coordinates[i] for i in rows.tolist()], covariance[np.ix_(rows, rows)])

@@ -11,7 +11,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
-LEFT = 0.3
+CORRECTED_SHARE = 0.3
 """Prior sigma of a corrected constant, in the maker's guarantees; nobody declares it, and no correction is exact. It
 is between the share to which an ordinary calibration determines it on the day (0.1: a beam tilt of 10 urad to about 1)
 and all of it: the constants of instruments reported as corrected scatter in real halls by half a guarantee and more."""
@@ -79,7 +79,7 @@ def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
     """The same (I, p), where an instrument is said to be corrected what that leaves, unless a parameter's is stated."""
     sigma, names = prior_sigmas(recording, construction), construction.names
     instruments = map(recording.setup.instrument_named, recording.instruments)
-    for own, instrument in zip(sigma, instruments, strict=True):
+    for of_instrument, instrument in zip(sigma, instruments, strict=True):
         if instrument.corrected:
-            own[[name not in instrument.prior.parameters for name in names]] *= LEFT
+            of_instrument[[name not in instrument.prior.parameters for name in names]] *= CORRECTED_SHARE
     return sigma

@@ -70,7 +70,7 @@ class NetworkProblem(NetworkRows):
         marks = Marks.of(recording)
         used = recording.measured if use is None else recording.measured & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
-        known_marks, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
+        mark_control, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
         differences = DifferenceRows.between(recording, marks)
         plausible = [held_to * size for effect in model.effects for size in effect.spread]
         plausible += [size for errors in model.nuisances for size in errors.spread]
@@ -79,40 +79,40 @@ class NetworkProblem(NetworkRows):
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
             extra_sigma=np.array(plausible, dtype=np.float64),
-            free=free_motions(control, known_marks, differences, levels, yaws),
+            free=free_motions(control, mark_control, differences, levels, yaws),
             use=used,
             gauge=gauge,
             control=control,
             levels=levels,
             yaws=yaws,
             marks=marks,
-            known_marks=known_marks,
+            mark_control=mark_control,
             differences=differences,
             unknowns=Unknowns.of(model, gauge, marks, differences),
         )
 
     def on(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of another model of the same pointings, with what that states and these weights."""
-        found = NetworkProblem.of(model, sigma=self.sigma, use=self.use, prior=self.prior)
-        apart = found.differences.some(np.isin(found.differences.names, self.differences.names))
-        return replace(found, extra_sigma=self.extra_sigma, differences=apart)
+        changed = NetworkProblem.of(model, sigma=self.sigma, use=self.use, prior=self.prior)
+        differences = changed.differences.subset(np.isin(changed.differences.names, self.differences.names))
+        return replace(changed, extra_sigma=self.extra_sigma, differences=differences)
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
-        found, mine, theirs = replace(self, model=model), self.model.recording, model.recording
-        found = replace(found, sigma=theirs.sigma())
-        vars(found)["structure"] = self.structure
+        moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
+        moved = replace(moved, sigma=theirs.sigma())
+        vars(moved)["structure"] = self.structure
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
-            vars(found)["_pattern"] = self._pattern
-        return found
+            vars(moved)["_pattern"] = self._pattern
+        return moved
 
     def unplaced(self, lost: Bools) -> Bools:
         """(k,) Differences to `lost` targets (T,) or idle set-ups, or to a height that nothing else tells."""
         structure, stations = self.structure, len(self.unknowns.pose)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
-        stands[structure.place], heights[structure.height] = True, True
+        stands[structure.unread_stations], heights[structure.height] = True, True
         gone = np.concatenate([lost, stands])[self.differences.ends].any(axis=0)
-        open_ = np.concatenate([structure.flat, heights])[self.differences.ends].any(axis=0)
+        open_ = np.concatenate([structure.height_free_targets, heights])[self.differences.ends].any(axis=0)
         return np.asarray(gone | (open_ & self.differences.axes[:, 2]))
 
     def residuals(self, readings: Floats) -> Floats:
@@ -129,16 +129,16 @@ class NetworkProblem(NetworkRows):
         pointings = (self.residuals(readings) / self.sigma)[self.use]
         gauge = self.gauge.whitened(self.length_residuals(state))
         control = self.control.residual(state.points[self.control.target])
-        marks = self.known_marks.residual(state.position[self.known_marks.target])
-        apart = self.differences.residual(self.differences.apart(state.points, state.position))
+        marks = self.mark_control.residual(state.position[self.mark_control.target])
+        differences = self.differences.residual(self.differences.predict(state.points, state.position))
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
         yaws = self.yaws.residual(state.rotation) / self.yaws.sigma
         held = np.zeros(self.structure.held)
         prior = self.prior.residual(state.instrument)
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
-        known = pointings, gauge, control, marks, apart, levels.ravel(), yaws
-        return np.concatenate([*known, held, prior, extra, datum])
+        references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
+        return np.concatenate([*references, held, prior, extra, datum])
 
     def length_residuals(self, state: State) -> Floats:
         """Known less adjusted lengths (g,) [m]."""
@@ -158,7 +158,7 @@ class NetworkProblem(NetworkRows):
         design = self._pattern.filled(self._values(state, prediction))
         if self.gauge.root is not None:
             design = self._with_shared_errors(design)
-        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.kept)
+        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.n_reduced)
 
     def _with_shared_errors(self, design: Design) -> Design:
         """The design with the rows of lengths that share errors made independent of one another."""
@@ -177,15 +177,15 @@ class NetworkProblem(NetworkRows):
     def _columns(self) -> list[Ints]:
         """Columns (rows, width) of each kind of row, in the order of the system."""
         recording, at, gauge = self.model.recording, self.unknowns, self.gauge
-        own = at.pose[recording.station], at.target[recording.target], at.instrument[recording.instrument]
-        pointings = np.concatenate([*own, np.tile(at.extra, (len(recording), 1))], axis=1)
+        blocks = at.pose[recording.station], at.target[recording.target], at.instrument[recording.instrument]
+        pointings = np.concatenate([*blocks, np.tile(at.extra, (len(recording), 1))], axis=1)
         ends = at.target[gauge.first], at.target[gauge.second], np.tile(at.extra, (len(gauge), 1))
         anchors = at.pose[self.structure.anchors].ravel()
         return [
             np.repeat(pointings[:, None, :], 3, axis=1)[self.use],
             np.concatenate(ends, axis=1),
             np.repeat(at.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
-            np.repeat(at.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
+            np.repeat(at.pose[self.mark_control.target, :3], self.mark_control.axes.sum(axis=1), axis=0),
             np.repeat(at.places[self.differences.ends.T].reshape(-1, 6), self.differences.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.levels.station, 3:], 2, axis=0),
             at.pose[self.yaws.station, 3:],
@@ -207,7 +207,7 @@ class NetworkProblem(NetworkRows):
             np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None],
             gauge / self.gauge.sigma[:, None],
             self.control.weights(),
-            self.known_marks.weights(),
+            self.mark_control.weights(),
             self.differences.derivatives(),
             self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
             self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None],
@@ -219,10 +219,10 @@ class NetworkProblem(NetworkRows):
 
     def _prior_columns(self) -> Ints:
         """Columns (m, 1) of the prior's rows, or (m, p) where it correlates parameters."""
-        own = self.unknowns.instrument
+        columns = self.unknowns.instrument
         if self.prior.correlated:
-            return np.repeat(own, own.shape[1], axis=0)
-        return own[np.isfinite(self.prior.sigma)][:, None]
+            return np.repeat(columns, columns.shape[1], axis=0)
+        return columns[np.isfinite(self.prior.sigma)][:, None]
 
     def _gauge_by_extra(self, state: State) -> Floats:
         """Change (g, q) of the known lengths per unit of the further effects' parameters."""
@@ -243,7 +243,7 @@ class NetworkProblem(NetworkRows):
     @cached_property
     def level_rows(self) -> slice:
         """The rows of the system that are levels, two a station."""
-        first = int(self.use.sum()) + len(self.gauge) + self.control.count + self.known_marks.count
+        first = int(self.use.sum()) + len(self.gauge) + self.control.count + self.mark_control.count
         first += self.differences.count
         return slice(first, first + 2 * len(self.levels))
 
@@ -254,8 +254,8 @@ class NetworkProblem(NetworkRows):
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         lengths -= lengths > 0 and not self.gauge.tell_scale
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisances)
-        known = self.control.count + self.known_marks.count + self.differences.count
-        known += lengths + 2 * len(self.levels) + len(self.yaws) + priors + nuisances
+        references = self.control.count + self.mark_control.count + self.differences.count
+        references += lengths + 2 * len(self.levels) + len(self.yaws) + priors + nuisances
         free = self.free.shape[1] - self.structure.in_plan
-        unknown = self.unknowns.size - free - self.structure.held + self.structure.idle
-        return int(self.use.sum()) + known - unknown
+        unknown = self.unknowns.size - free - self.structure.held + self.structure.constraints_on_unseen
+        return int(self.use.sum()) + references - unknown

@@ -81,8 +81,8 @@ class FirstOrder(Tunable):
     @classmethod
     def of(cls, base: Tunable, sightings: Sightings) -> FirstOrder:
         """An effect at a state of the network."""
-        told = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
-        return cls(base, base.design(sightings), *told)
+        identity = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
+        return cls(base, base.design(sightings), *identity)
 
     def design(self, sightings: Sightings) -> Floats:
         """The design (n, 3, p) of the effect as it was."""
@@ -95,7 +95,7 @@ class FirstOrder(Tunable):
 
 def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
     """Shape constants of an effect that the readings feel and that vary smoothly, less those that are `fixed`."""
-    found = []
+    directions = []
     size = float(np.abs(effect.design(sightings) @ values).max())
     for shape in type(effect).shape:
         now = getattr(effect, shape.name)
@@ -103,8 +103,8 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Co
             continue
         direction = ShapeDirection(effect, tuple(values), shape)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
-            found.append(direction)
-    return found
+            directions.append(direction)
+    return directions
 
 
 class Estimated(NamedTuple):
@@ -125,7 +125,7 @@ class Refit:
 
     adjustment: Adjustment
     effects: tuple[Tunable, ...]
-    told: tuple[tuple[Estimated, ...], ...]
+    estimates: tuple[tuple[Estimated, ...], ...]
 
 
 def refit(
@@ -149,32 +149,32 @@ def refit(
     """
     stay = fixed or [()] * len(effects)
     current = list(effects)
-    found = joint = adjusted(effects=current, start=start)
-    if not found.solution.converged:
-        sightings = found.problem.model.sightings(start)
+    fitted = joint = adjusted(effects=current, start=start)
+    if not fitted.solution.converged:
+        sightings = fitted.problem.model.sightings(start)
         current = [FirstOrder.of(effect, sightings) for effect in current]
-        found = joint = adjusted(effects=current, start=start)
+        fitted = joint = adjusted(effects=current, start=start)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
-        values = _split(current, found.state.extra)
+        values = _split(current, fitted.state.extra)
         each = zip(current, values, stay, strict=True)
-        directions = [_directions(effect, own, found.sightings, out) for effect, own, out in each]
+        directions = [_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjusted(effects=[*current, *flat], start=found.state)
+        joint = adjusted(effects=[*current, *flat], start=fitted.state)
         if not joint.solution.converged:
             break
         first = sum(len(effect.parameters) for effect in current)
         changes = joint.state.extra[first : first + len(flat)]
         if np.all(np.abs(changes) < LINEAR):
             break
-        step = _step(adjusted, current, directions, changes, found)
+        step = _step(adjusted, current, directions, changes, fitted)
         if step is None:
             break
-        current, found = step
+        current, fitted = step
     named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
-    return Refit(found, named, _told(found, joint, current, directions))
+    return Refit(fitted, named, _estimates(fitted, joint, current, directions))
 
 
 def _step(
@@ -206,22 +206,22 @@ def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], ch
     return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
-def _told(
-    found: Adjustment,
+def _estimates(
+    fitted: Adjustment,
     joint: Adjustment,
     effects: Sequence[Tunable],
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[Estimated, ...], ...]:
     """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""
     shaped = joint.solution.converged and len(joint.effects) > len(effects)
-    carrier = joint if shaped else found
+    carrier = joint if shaped else fitted
     if not (effects and carrier.solution.converged):
         return tuple(() for _ in effects)
     sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
     relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
     rows = []
-    for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
-        row = [Estimated(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
+    for i, (effect, values) in enumerate(zip(effects, _split(effects, fitted.state.extra), strict=True)):
+        row = [Estimated(*estimate) for estimate in zip(effect.parameters, values, sigma[i], strict=True)]
         for direction in directions[i]:
             now = float(getattr(effect, direction.constant.name))
             row.append(Estimated(direction.constant, now, float(next(relative)[0]) * abs(now)))

@@ -24,7 +24,7 @@ FEW = 15
 """Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
 FAR_MORE = 2.0
 """Ratio of the scatter of a target's readings to that of the others from which it has a noise of its own."""
-ALIKE = 0.9
+EQUIVALENT = 0.9
 """Squared correlation of the residuals of two readings from which no test tells which of them is wrong."""
 UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
@@ -54,21 +54,21 @@ def scale_of(w: Floats, redundancy: Floats) -> float:
     return shown if shown > BELIEVED else 1.0
 
 
-def restless(w: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
+def noisy_groups(w: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
     """Targets whose own readings scatter far more than all others, and how many sigmas these and the others scatter.
 
     `w` and `redundancy` (n, 3), `target` (n,).
     """
-    told = np.where(np.nan_to_num(redundancy) > CHECKED, w, np.nan)
+    testable = np.where(np.nan_to_num(redundancy) > CHECKED, w, np.nan)
 
     def noise(rows: Bools) -> float:
-        return median_deviation(told[rows][np.isfinite(told[rows])])
+        return median_deviation(testable[rows][np.isfinite(testable[rows])])
 
-    count = np.bincount(target, np.isfinite(told).sum(axis=1))
-    own = {t: noise(target == t) for t in np.flatnonzero(count >= FEW).tolist()}
+    count = np.bincount(target, np.isfinite(testable).sum(axis=1))
+    scatter_of = {t: noise(target == t) for t in np.flatnonzero(count >= FEW).tolist()}
     named: list[int] = []
-    for t in sorted(own, key=lambda t: -own[t])[: len(own) - 1]:
-        if not own[t] > FAR_MORE * noise(~np.isin(target, [*named, t])):
+    for t in sorted(scatter_of, key=lambda t: -scatter_of[t])[: len(scatter_of) - 1]:
+        if not scatter_of[t] > FAR_MORE * noise(~np.isin(target, [*named, t])):
             break
         named.append(t)
     at = np.isin(target, named)
@@ -80,7 +80,7 @@ def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
     return float(-special.ndtri(0.5 * single_level(count, level)))
 
 
-def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
+def p_value_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
     """Chance that one of `count` readings has such a |w| / sigma0; infinite `dof`: by the stated noise.
 
     References
@@ -88,14 +88,14 @@ def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
     Pope, The statistics of residuals and the detection of outliers, NOAA TR NOS 65 NGS 1 (1976):
     tau = sqrt(f) t / sqrt(f - 1 + t^2), t of Student with f - 1 degrees of freedom.
     """
-    known = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
-    t = tau * np.sqrt((known - 1.0) / np.maximum(known - tau**2, 1e-300))
-    single = 2.0 * np.where(np.isfinite(dof), special.stdtr(known - 1.0, -t), special.ndtr(-tau))
+    finite_dof = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
+    t = tau * np.sqrt((finite_dof - 1.0) / np.maximum(finite_dof - tau**2, 1e-300))
+    single = 2.0 * np.where(np.isfinite(dof), special.stdtr(finite_dof - 1.0, -t), special.ndtr(-tau))
     single = np.where(dof < 2, 1.0, single)
     return np.asarray(-np.expm1(count * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
 
 
-def one_after_another(
+def iterative_snooping(
     gap: Floats, shown: Floats, scale: Floats, dof: Floats, count: int, level: float
 ) -> list[tuple[int, float, float, float]]:
     """Outliers among k readings, the surest first: index, error in sigmas, w, and p-value of each.
@@ -103,18 +103,18 @@ def one_after_another(
     `gap` (k,) holds their residuals in sigmas, `shown` (k, k) the effect of an error of each on these. The residuals
     that one outlier explains do not count against another; readings that cannot be distinguished from it follow it.
     """
-    found, seen = list[tuple[int, float, float, float]](), np.diag(shown).copy()
-    while (seen > UNCHECKED).any():
-        w = np.where(seen > UNCHECKED, gap / np.sqrt(np.maximum(seen, UNCHECKED)), 0.0)
-        chance, k = chance_of_tau(np.abs(w) / scale, dof, count), int(np.argmax(np.abs(w) / scale))
+    outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(shown).copy()
+    while (redundancy > UNCHECKED).any():
+        w = np.where(redundancy > UNCHECKED, gap / np.sqrt(np.maximum(redundancy, UNCHECKED)), 0.0)
+        chance, k = p_value_of_tau(np.abs(w) / scale, dof, count), int(np.argmax(np.abs(w) / scale))
         if not chance[k] < level:
             break
-        alike = (shown[k] ** 2 > ALIKE * shown[k, k] * np.diag(shown)) & (seen > UNCHECKED)
-        beside = [i for i in np.flatnonzero(alike & (chance < level)).tolist() if i != k]
-        found += [(i, float(gap[i] / seen[i]), float(w[i]), float(chance[i])) for i in (k, *beside)]
-        gap, shown = gap - shown[k] * gap[k] / seen[k], shown - np.outer(shown[k], shown[k]) / seen[k]
-        seen = np.where(alike | (seen <= UNCHECKED), 0.0, np.diag(shown))
-    return found
+        is_equivalent = (shown[k] ** 2 > EQUIVALENT * shown[k, k] * np.diag(shown)) & (redundancy > UNCHECKED)
+        equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < level)).tolist() if i != k]
+        outliers += [(i, float(gap[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]
+        gap, shown = gap - shown[k] * gap[k] / redundancy[k], shown - np.outer(shown[k], shown[k]) / redundancy[k]
+        redundancy = np.where(is_equivalent | (redundancy <= UNCHECKED), 0.0, np.diag(shown))
+    return outliers
 
 
 def single_level(count: int, level: float) -> float:
@@ -143,7 +143,7 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int 
     return float(special.chndtrinc(limit, dof, 1.0 - POWER))
 
 
-def surprise(drop: Floats | float, rank: Ints | int) -> Floats:
+def neg_log_p_chi2(drop: Floats | float, rank: Ints | int) -> Floats:
     """Minus the logarithm of the chance of a chi-square above `drop`; 0 for rank 0.
 
     Where the chance is too small for a float, by the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).

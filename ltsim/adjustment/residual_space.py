@@ -91,23 +91,23 @@ class ResidualSpace:
         """Residual part of signatures (m, q), or of one vector (m,), after the adjustment."""
         return self.projection.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
-    def explained(self, signature: Floats) -> tuple[float, int]:
+    def chi2_drop(self, signature: Floats) -> tuple[float, int]:
         """By how much chi-square falls when signatures (m, q) are estimated too, and how many of them show."""
-        told = self._visible(signature).T @ self.residual
-        return float(told @ told), len(told)
+        scores = self._visible(signature).T @ self.residual
+        return float(scores @ scores), len(scores)
 
     def _visible(self, signature: Floats) -> Floats:
         return orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
 
-    def extended(self, signature: Floats) -> ResidualSpace:
+    def augmented(self, signature: Floats) -> ResidualSpace:
         """The residual space when signatures (m, q) are estimated too."""
         visible = self._visible(signature)
         residual = self.residual - visible @ (visible.T @ self.residual)
         return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
 
-    def beside(self, laws: Sequence[Signature]) -> ResidualSpace:
+    def with_effects(self, laws: Sequence[Signature]) -> ResidualSpace:
         """The residual space when some laws are estimated too."""
-        return self.extended(np.hstack([self.signature(law) for law in laws])) if laws else self
+        return self.augmented(np.hstack([self.signature(law) for law in laws])) if laws else self
 
     def moved_targets(self, signature: Floats) -> Floats:
         """Shift (T, 3) [m] of the adjusted targets by a change (m,) of the whitened readings."""
@@ -117,14 +117,14 @@ class ResidualSpace:
         return change
 
 
-def orthonormal(left: Floats, norms: Floats) -> Floats:
-    """Orthonormal columns (m, r) spanning what is `left` (m, q) of signatures; invisible directions are dropped.
+def orthonormal(projected: Floats, norms: Floats) -> Floats:
+    """Orthonormal columns (m, r) spanning what is `projected` (m, q) of signatures; invisible directions are dropped.
 
     Directions are compared with the lengths `norms` (q,) of the whole signatures, so no unit and no absolute tolerance
     enters.
     """
-    unit = left / np.where(norms > 0, norms, 1.0)
+    unit = projected / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
-    seen = strength > VISIBLE
-    basis: Floats = unit @ (turn[:, seen] / np.sqrt(strength[seen]))
+    is_visible = strength > VISIBLE
+    basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))
     return basis

@@ -88,20 +88,20 @@ class ControlRows:
     @classmethod
     def of(cls, recording: Recording) -> ControlRows:
         """The control points of a recording."""
-        return cls._known(recording, list(enumerate(recording.targets)))
+        return cls._of_places(recording, list(enumerate(recording.targets)))
 
     @classmethod
     def of_stations(cls, recording: Recording, marks: Marks) -> ControlRows:
         """The known marks under stations that are no targets themselves; `points` are those of the instruments."""
         places = [(i, n) for i, n in enumerate(marks.names) if n and marks.target[i] < 0 and marks.first[i] == i]
-        rows = cls._known(recording, places)
+        rows = cls._of_places(recording, places)
         return replace(rows, points=rows.points + marks.offset[rows.target])
 
     @classmethod
-    def _known(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
-        known = [(i, recording.target_setup(name)) for i, name in places]
-        rows = [(i, t) for i, t in known if t.known_mm is not None]
-        return cls(np.array([i for i, _ in rows], dtype=np.int64), *_stated([t for _, t in rows]))
+    def _of_places(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
+        setups = [(i, recording.target_setup(name)) for i, name in places]
+        rows = [(i, t) for i, t in setups if t.known_mm is not None]
+        return cls(np.array([i for i, _ in rows], dtype=np.int64), *_declared([t for _, t in rows]))
 
     def __len__(self) -> int:
         return len(self.target)
@@ -132,11 +132,13 @@ class ControlRows:
         return self.root[self.axes]
 
 
-def _stated(known: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
+def _declared(declared: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
     """Known coordinates (k, 3) [m], which of them are known, and their roots (k, 3, 3) [1 / m]."""
-    axes = np.array([[axis in one.known_axes for axis in "xyz"] for one in known], dtype=bool).reshape(-1, 3)
-    roots = np.array([_root(one, stated) for one, stated in zip(known, axes, strict=True)]).reshape(-1, 3, 3)
-    return np.array([one.known_mm for one in known], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
+    axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in declared], dtype=bool).reshape(-1, 3)
+    roots = np.array([_root(entry, given_axes) for entry, given_axes in zip(declared, axes, strict=True)]).reshape(
+        -1, 3, 3
+    )
+    return np.array([entry.known_mm for entry in declared], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
 
 
 def _root(target: Target | ReferenceDifference, axes: Bools) -> Floats:
@@ -167,24 +169,30 @@ class DifferenceRows(ControlRows):
     def between(cls, recording: Recording, marks: Marks) -> DifferenceRows:
         """The differences of a recording whose ends it tells."""
         places, count = places_of(recording), len(recording.targets)
-        last, known = count + len(recording.stations), recording.setup.differences
-        known = tuple(one for one in known if {one.from_, one.to} <= places.keys())
-        points, axes, roots = _stated(known)
-        ends = np.array([[places[one.from_], places[one.to]] for one in known], dtype=np.int64).reshape(-1, 2)
-        for k, one in enumerate(known):
-            for sign, name, place in zip((-1.0, 1.0), (one.from_, one.to), ends[k], strict=True):
+        last, differences = count + len(recording.stations), recording.setup.differences
+        differences = tuple(
+            difference for difference in differences if {difference.from_, difference.to} <= places.keys()
+        )
+        points, axes, roots = _declared(differences)
+        ends = np.array(
+            [[places[difference.from_], places[difference.to]] for difference in differences], dtype=np.int64
+        ).reshape(-1, 2)
+        for k, difference in enumerate(differences):
+            for sign, name, place in zip((-1.0, 1.0), (difference.from_, difference.to), ends[k], strict=True):
                 if place == last:
                     points[k] -= sign * np.array(recording.target_setup(name).known_mm) * MILLIMETRE
                 elif place >= count:
                     points[k] += sign * marks.offset[place - count]
-        return cls(ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(one.called for one in known))
+        return cls(
+            ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(difference.called for difference in differences)
+        )
 
     @property
     def ends(self) -> Ints:
         """(2, k): places at either end."""
         return np.stack([self.start, self.target])
 
-    def some(self, chosen: Bools) -> DifferenceRows:
+    def subset(self, chosen: Bools) -> DifferenceRows:
         """Rows of the differences `chosen` (k,)."""
         return DifferenceRows(
             self.target[chosen],
@@ -193,10 +201,10 @@ class DifferenceRows(ControlRows):
             self.root[chosen],
             self.start[chosen],
             self.last,
-            tuple(name for name, kept in zip(self.names, chosen, strict=True) if kept),
+            tuple(name for name, is_chosen in zip(self.names, chosen, strict=True) if is_chosen),
         )
 
-    def apart(self, points: Floats, position: Floats) -> Floats:
+    def predict(self, points: Floats, position: Floats) -> Floats:
         """Differences (k, 3) [m] where targets are at `points` (T, 3) and instruments at `position` (S, 3)."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
         return places[self.target] - places[self.start]
@@ -206,7 +214,7 @@ class DifferenceRows(ControlRows):
         signs = np.where(self.ends == self.last, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.root)], axis=2)[self.axes]
 
-    def told(self, open_: Bools) -> Bools:
+    def height_free(self, open_: Bools) -> Bools:
         """Flags (T + S + 1,) of open heights that no difference determines: it determines one end from the other."""
         open_, ends = open_.copy(), self.ends[:, self.axes[:, 2]]
         while (half := open_[ends[0]] != open_[ends[1]]).any():
@@ -243,9 +251,9 @@ class LevelRows:
         rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
         station = np.array([i for i, _ in rows], dtype=np.int64)
         vertical = verticals(recording)[station]
-        left, back = perpendicular(vertical)
+        sideways, back = perpendicular(vertical)
         sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
-        return cls(station, sigma, vertical, np.stack([-back, left], axis=1))
+        return cls(station, sigma, vertical, np.stack([-back, sideways], axis=1))
 
     def __len__(self) -> int:
         return len(self.station)
@@ -313,17 +321,17 @@ def free_motions(
     Their number is decided by structure: none with three control points off one line, the four that keep the
     vertical with levels alone, all six without either.
     """
-    known = [one for one in (control, marks) if len(one)]
-    points = np.concatenate([one.points for one in known]) if known else np.zeros((1, 3))
+    controls = [group for group in (control, marks) if len(group)]
+    points = np.concatenate([group.points for group in controls]) if controls else np.zeros((1, 3))
     centre = points.mean(axis=0)
     reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
-    rows = [rigid_motion((one.points - centre) / reach)[one.axes.ravel()] for one in known]
+    rows = [rigid_motion((group.points - centre) / reach)[group.axes.ravel()] for group in controls]
     if len(differences):
         rows.append(differences.motion(centre, reach))
     if len(levels):
         mean = levels.vertical.mean(axis=0)
-        alike = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL
-        across = levels.across[:1] if alike else levels.across
+        is_parallel = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL
+        across = levels.across[:1] if is_parallel else levels.across
         rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
     if len(yaws):
         rows.append(np.eye(6)[5:])
@@ -360,8 +368,8 @@ class Marks:
         setups = [recording.station_setup(name) for name in recording.stations]
         names = tuple(s.over or "" for s in setups)
         target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
-        seen: dict[str, int] = {}
-        first = [seen.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
+        first_on_mark: dict[str, int] = {}
+        first = [first_on_mark.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
         vertical = verticals(recording)
         height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])

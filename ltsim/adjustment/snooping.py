@@ -12,7 +12,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.adjustment.robust import HUBER, STILL
 from ltsim.adjustment.singular import refusing_singular
-from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import holds_pose
@@ -71,24 +71,24 @@ def _later(rows: np.ndarray) -> Bools:
 # --- what the readings in use do not place ------------------------------------------------------------------------
 
 
-def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
+def drop_undetermined(problem: NetworkProblem, state: State) -> NetworkProblem:
     """The problem without the readings, known lengths and differences of targets that they do not determine.
 
     A length to such a target keeps its row, without weight.
     """
     while True:
-        loose = loose_targets(problem, state)
+        loose = undetermined_targets(problem, state)
         gauge = problem.gauge
         reached = problem.structure.unseen | loose
         idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
         use = problem.use & ~loose[problem.model.recording.target][:, None]
-        apart = problem.differences.some(~problem.unplaced(reached))
-        if np.array_equal(use, problem.use) and not idle.any() and len(apart) == len(problem.differences):
+        differences = problem.differences.subset(~problem.unplaced(reached))
+        if np.array_equal(use, problem.use) and not idle.any() and len(differences) == len(problem.differences):
             return problem
-        problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use, differences=apart)
+        problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use, differences=differences)
 
 
-def loose_targets(problem: NetworkProblem, state: State) -> Bools:
+def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
     """(T,) True for targets with readings in use that leave a direction of them open, stations taken as known."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     whole = np.bincount(recording.target, problem.use.all(axis=1), count) > 0
@@ -106,27 +106,29 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
     for end in problem.differences.ends:
-        own = problem.differences.some(end < count)
-        np.add.at(normal, end[end < count], np.swapaxes(own.root, 1, 2) @ own.root)
-    normal[problem.structure.flat, 2, 2] += np.trace(normal[problem.structure.flat], axis1=1, axis2=2)
+        rows_at_end = problem.differences.subset(end < count)
+        np.add.at(normal, end[end < count], np.swapaxes(rows_at_end.root, 1, 2) @ rows_at_end.root)
+    normal[problem.structure.height_free_targets, 2, 2] += np.trace(
+        normal[problem.structure.height_free_targets], axis1=1, axis2=2
+    )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
     return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT)
 
 
-def poseless(problem: NetworkProblem, state: State) -> str:
+def pose_defect(problem: NetworkProblem, state: State) -> str:
     """A sentence: a station whose targets leave its pose open, as geometry alone decides; empty where there is none.
 
     Set-ups over marks and stations without readings are not asked.
     """
     recording, marks = problem.model.recording, problem.marks
-    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
     used = problem.use.any(axis=1)
-    seen[recording.station[used], recording.target[used]] = True
-    vertical = np.full((len(seen), 3), np.nan)
+    sighted[recording.station[used], recording.target[used]] = True
+    vertical = np.full((len(sighted), 3), np.nan)
     vertical[problem.levels.station] = problem.levels.vertical
-    free = np.array([not name for name in marks.names]) & seen.any(axis=1)
-    few = np.flatnonzero(free & ~holds_pose(state.points, seen, vertical))
+    free = np.array([not name for name in marks.names]) & sighted.any(axis=1)
+    few = np.flatnonzero(free & ~holds_pose(state.points, sighted, vertical))
     if not len(few):
         return ""
     levelled = few[0] in problem.levels.station
@@ -150,7 +152,7 @@ class Screened(NamedTuple):
 
 
 @refusing_singular
-def screened(recording: Recording) -> Screened:
+def screen_gross_errors(recording: Recording) -> Screened:
     """Begin a network and screen out gross pointings; raises NetworkError.
 
     These miss their target by far more than the rest of the recording does: a swapped or misnamed reflector, a wrong
@@ -158,13 +160,13 @@ def screened(recording: Recording) -> Screened:
     be that. So where anything looks gross the network is relaxed, with such pointings held loosely, until the verdict
     stands.
     """
-    reached, lost = reached_network(recording)
+    reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
     model = MeasurementModel(recording, ideal())
     state = State(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.extra_size))
     excess = _excess(model, state)
     for _ in range(PASSES if np.any(excess > 1.0) else 0):
-        problem = without_loose(NetworkProblem.of(model), state)
+        problem = drop_undetermined(NetworkProblem.of(model), state)
         state, length = _step(problem, state, np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _excess(model, state)
         if not length or not np.any((excess > 1.0) & (excess < SETTLED * before)):
@@ -198,7 +200,9 @@ def _step(problem: NetworkProblem, state: State, loose: Floats) -> tuple[State, 
 # --- within the adjustment ----------------------------------------------------------------------------------------
 
 
-def snooped(problem: NetworkProblem, state: State, rounds: int = ROUNDS) -> tuple[NetworkProblem, Solution[State]]:
+def snoop_readings(
+    problem: NetworkProblem, state: State, rounds: int = ROUNDS
+) -> tuple[NetworkProblem, Solution[State]]:
     """The problem without its outliers, and its solution; every reading in `use` may be used, `state` is near it.
 
     Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
@@ -217,27 +221,27 @@ def snooped(problem: NetworkProblem, state: State, rounds: int = ROUNDS) -> tupl
     limit = critical_w(int(problem.use.sum()))
     w, scale, _ = _tested(problem, problem, state, factor)
     rejected: Bools = w > limit * scale
-    seen: set[bytes] = set()
+    tried: set[bytes] = set()
     placed, target = state.points, problem.model.recording.target
     while True:
-        kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
-        solution = solve(kept, state, cap=STEPS)
-        seen.add(rejected.tobytes())
+        reduced = drop_undetermined(replace(problem, use=problem.use & ~rejected), state)
+        solution = solve(reduced, state, cap=STEPS)
+        tried.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
-                return kept, solution
+                return reduced, solution
             size = np.where(rejected, _whitened(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
         state = solution.x
-        new = _retested(problem, kept, solution, rejected, limit)
+        new = _retested(problem, reduced, solution, rejected, limit)
         if np.array_equal(new, rejected):
-            return kept, solution if solution.converged else solve(kept, state)
-        if new.tobytes() in seen or len(seen) >= rounds:  # On the edge: what is out in either stays out.
-            last = without_loose(replace(problem, use=problem.use & ~(new | rejected)), state)
+            return reduced, solution if solution.converged else solve(reduced, state)
+        if new.tobytes() in tried or len(tried) >= rounds:  # On the edge: what is out in either stays out.
+            last = drop_undetermined(replace(problem, use=problem.use & ~(new | rejected)), state)
             ended = solve(last, state)
-            return (kept, solve(kept, state)) if ended.factor is None else (last, ended)
+            return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)
         rejected = new
         held = np.bincount(target, (problem.use & ~rejected).any(axis=1), len(placed)) > 0
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
@@ -249,20 +253,20 @@ def _whitened(problem: NetworkProblem, state: State) -> Floats:
 
 
 def _tested(
-    problem: NetworkProblem, kept: NetworkProblem, state: State, factor: BlockFactor
+    problem: NetworkProblem, reduced: NetworkProblem, state: State, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
-    """|w| (n, 3) of the readings of `kept`, the scale of its noise, and the redundancy (n, 3)."""
-    redundancy = redundancy_of(kept, factor)
-    w = normalised(kept, problem.residuals(problem.model.predict(state)), redundancy)
+    """|w| (n, 3) of the readings of `reduced`, the scale of its noise, and the redundancy (n, 3)."""
+    redundancy = redundancy_of(reduced, factor)
+    w = normalised(reduced, problem.residuals(problem.model.predict(state)), redundancy)
     return np.nan_to_num(np.abs(w)), scale_of(w, redundancy), redundancy
 
 
 def _retested(
-    problem: NetworkProblem, kept: NetworkProblem, solution: Solution[State], rejected: Bools, limit: float
+    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[State], rejected: Bools, limit: float
 ) -> Bools:
     """Rejected readings (n, 3) anew: those left out that still do not fit, and kept ones that now do not."""
     assert solution.factor is not None
-    w, scale, redundancy = _tested(problem, kept, solution.x, solution.factor)
+    w, scale, redundancy = _tested(problem, reduced, solution.x, solution.factor)
     new: Bools = (w > limit * scale) & (redundancy > UNCHECKED)
     if new.any():
         new &= w > 0.5 * w.max()
@@ -271,9 +275,9 @@ def _retested(
         rows = as_dense(problem.linearise(solution.x).design[np.flatnonzero(rejected[problem.use])])
         response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
         spread = np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0))
-        still, alone = np.zeros_like(rejected), np.zeros(len(kept.structure.unseen), dtype=bool)
+        still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.unseen), dtype=bool)
         still[out] = _whitened(problem, solution.x)[out] / spread > limit * scale
         alone[targets[np.argwhere(out)[spread > ALONE, 0]]] = True
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
-        new |= still | (rejected & kept.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])
+        new |= still | (rejected & reduced.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])
     return new

@@ -14,12 +14,12 @@ from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.physics.model.measurement import lift_of
 from ltsim.recordings.recording import Recording
 
-BEGINNINGS = ("frame", "cloud", "ranges", "places", "bearings")
+SEEDS = ("frame", "cloud", "ranges", "places", "bearings")
 """Methods to begin a network: from known points, from points that one station measured completely, from ranges alone,
 from all roughly declared places, from a plan of directions between known points."""
 
 
-def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
+def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
     """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m]; which targets (T,) the readings tie to nothing.
 
     Levels and known points define the frame where there are any, else it is the first station's. The station that
@@ -34,15 +34,15 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
         raise NetworkError(message + "measure azimuths or distances too")
     pairs, frame = Pairs.of(recording, flat_points(recording)), Frame.of(recording)
     grown = []
-    for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:
-        grown.append(Growth(recording, pairs, frame))
+    for beginning in SEEDS if frame.has_places else SEEDS[1:]:
+        grown.append(NetworkInitialiser(recording, pairs, frame))
         grown[-1].run(beginning)
         if grown[-1].is_complete:
             break
     return max(grown, key=lambda growth: growth.reach).result(grown[-1].loose)
 
 
-class Growth:
+class NetworkInitialiser:
     """Stations and targets that have a place so far, in a frame of their own until the stated one is reached.
 
     Parameters
@@ -73,20 +73,27 @@ class Growth:
 
     def _by_pair(self, lift: Floats) -> Floats:
         pairs, recording = self._pairs, self._recording
-        own = np.zeros((len(pairs), 3))
+        by_pair = np.zeros((len(pairs), 3))
         keys = pairs.station * len(recording.targets) + pairs.target
         rows = recording.station * len(recording.targets) + recording.target
         paired = np.flatnonzero(np.isin(rows, keys))
-        own[np.searchsorted(keys, rows[paired])] = lift[paired]
-        return own
+        by_pair[np.searchsorted(keys, rows[paired])] = lift[paired]
+        return by_pair
 
     def run(self, beginning: str) -> None:
-        """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
+        """Join everything that can be joined from one of `SEEDS`, then go to the stated frame."""
         getattr(self, f"_begin_with_{beginning}")()
-        steps = self._join_by_cloud, self._join_by_yaw, self._locate, self._join_by_fit, self._anchor, self._look_back
+        steps = (
+            self._join_by_cloud,
+            self._join_by_yaw,
+            self._locate,
+            self._join_by_fit,
+            self._anchor,
+            self._resect_by_backsight,
+        )
         while not self.is_complete and any(step() for step in steps):
             pass
-        self._settle()
+        self._to_final_frame()
 
     @property
     def is_complete(self) -> bool:
@@ -100,12 +107,12 @@ class Growth:
 
     # --- what is known ---------------------------------------------------------------------------------------------
 
-    def _known(self) -> Floats:
+    def _target_places(self) -> Floats:
         """Targets (T, 3) so far: the median of where stations place them, or where they were located."""
-        known = self._located.copy()
+        places = self._located.copy()
         whole = np.flatnonzero(self._covered)
-        known[whole] = self._pairs.medians(self._placed, whole)
-        return known
+        places[whole] = self._pairs.medians(self._placed, whole)
+        return places
 
     @property
     def _have(self) -> Bools:
@@ -117,7 +124,7 @@ class Growth:
 
     def _stand(self, station: int) -> Floats | None:
         """Position (3,) [m] of an unjoined station whose mark has a place already; else None."""
-        place = self._frame.marks.place(station, self._position, self._known())
+        place = self._frame.marks.place(station, self._position, self._target_places())
         return place if np.isfinite(place).all() else None
 
     # --- steps -----------------------------------------------------------------------------------------------------
@@ -125,9 +132,9 @@ class Growth:
     def _place(self, station: int, position: Floats, rotation: Floats) -> None:
         self._position[station], self._rotation[station] = position, rotation
         self._joined[station] = True
-        own = self._pairs.of_station(station)
-        self._placed[own] = self._pairs.points[own] @ rotation.T + position - self._pair_lift[own]
-        self._covered[self._pairs.target[own]] = True
+        pairs = self._pairs.of_station(station)
+        self._placed[pairs] = self._pairs.points[pairs] @ rotation.T + position - self._pair_lift[pairs]
+        self._covered[self._pairs.target[pairs]] = True
         mark = self._frame.marks.target[station]
         if mark >= 0 and np.isnan(self._located[mark]).any():
             self._located[mark] = position - self._frame.marks.offset[station]
@@ -142,12 +149,12 @@ class Growth:
                 return False
             if shared[station] < 3 and not level:
                 continue
-            own = np.arange(len(self._pairs))[self._pairs.of_station(station)]
-            own = own[have[self._pairs.target[own]]]
-            goal = self._targets(self._pairs.target[own]) + self._pair_lift[own]
+            pairs = np.arange(len(self._pairs))[self._pairs.of_station(station)]
+            pairs = pairs[have[self._pairs.target[pairs]]]
+            goal = self._targets(self._pairs.target[pairs]) + self._pair_lift[pairs]
             fit = robust_align if shared[station] >= 3 else upright_alignment
             try:
-                rotation, position = fit(self._pairs.points[own], goal)
+                rotation, position = fit(self._pairs.points[pairs], goal)
             except NetworkError:
                 continue
             self._place(station, position, rotation)
@@ -170,14 +177,14 @@ class Growth:
 
     def _locate(self) -> bool:
         """Place targets that joined stations only saw in part, and marks under joined stations."""
-        recording, found = self._recording, False
+        recording, has_new = self._recording, False
         usable = self._joined[recording.station] & ~self._have[recording.target]
         for target, rows in grouped(recording.target, np.flatnonzero(usable)):
             if self._is_new(-1 - target, len(rows)):
                 point = self._located_by(rows)
                 if point is not None:
-                    self._located[target], found = point, True
-        return found
+                    self._located[target], has_new = point, True
+        return has_new
 
     def _is_new(self, key: int, effort: int) -> bool:
         """Whether a station (or a target, -1 less its number) was not tried in vain with as much already."""
@@ -201,8 +208,8 @@ class Growth:
 
     def _join_by_fit(self) -> bool:
         """Join a station by a fit of whatever it read to known targets."""
-        known, recording = self._known(), self._recording
-        usable = ~self._joined[recording.station] & np.isfinite(known[recording.target, 0])
+        places, recording = self._target_places(), self._recording
+        usable = ~self._joined[recording.station] & np.isfinite(places[recording.target, 0])
         groups = grouped(recording.station, np.flatnonzero(usable))
         for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front[group[1]]).sum()):
             stand = self._stand(station)
@@ -210,27 +217,33 @@ class Growth:
                 continue
             level = self._upright and bool(self._frame.level[station])
             sight = Sight(self._front[rows], self._flat[rows], self._lift[rows])
-            pose = fit_pose(sight, known[recording.target[rows]], level=level, position=stand)
+            pose = fit_pose(sight, places[recording.target[rows]], level=level, position=stand)
             if pose is not None:
                 self._place(station, *pose)
                 return True
         return False
 
-    def _look_back(self) -> bool:
+    def _resect_by_backsight(self) -> bool:
         """Join a levelled station that is seen from where it looks back: its beams cross where it stands, in plan."""
         recording, over = self._recording, self._frame.marks.target
-        known, ahead, turn = self._known(), self._rotation[:, :, 0], self._front[:, 1]
+        places, ahead, turn = self._target_places(), self._rotation[:, :, 0], self._front[:, 1]
         for row in np.flatnonzero(self._joined[recording.station] & ~self._have[recording.target]).tolist():
             back = recording.station[row]
             bearing = turn[row] + np.arctan2(ahead[back, 1], ahead[back, 0])
             for station in np.flatnonzero((over == recording.target[row]) & self._frame.level & ~self._joined).tolist():
-                own = (recording.station == station) & np.isfinite(turn + known[recording.target, 0])
-                zero = turn[own & (recording.target == over[back])][:1]
+                rows_of_station = (recording.station == station) & np.isfinite(turn + places[recording.target, 0])
+                zero = turn[rows_of_station & (recording.target == over[back])][:1]
                 if not self._upright or not len(zero) or not np.isfinite(bearing):
                     continue
                 yaw = float(bearing + np.pi - zero[0])
-                rays = np.array([np.cos(turn[own] + yaw), np.sin(turn[own] + yaw), np.zeros(own.sum())]).T
-                place = meeting_point(known[recording.target[own]], rays)
+                rays = np.array(
+                    [
+                        np.cos(turn[rows_of_station] + yaw),
+                        np.sin(turn[rows_of_station] + yaw),
+                        np.zeros(rows_of_station.sum()),
+                    ]
+                ).T
+                place = meeting_point(places[recording.target[rows_of_station]], rays)
                 if place is not None:
                     self._place(station, place + self._frame.marks.offset[station], about_z(yaw))
                     return True
@@ -245,11 +258,11 @@ class Growth:
 
     def _anchor(self) -> bool:
         """Go to the stated frame as soon as the network reaches enough of it."""
-        if self._anchored or not self._frame.is_stated:
+        if self._anchored or not self._frame.has_places:
             return False
         turn = self._frame.upright(self._rotation, self._joined)
         heading = self._frame.heading(turn @ self._rotation, self._joined)
-        motion = self._frame.motion(self._position, self._known(), turn, heading)
+        motion = self._frame.motion(self._position, self._target_places(), turn, heading)
         if motion is None:
             return False
         self._move(*motion)
@@ -258,9 +271,9 @@ class Growth:
         self._located[fresh] = self._frame.points[fresh]
         return True
 
-    def _settle(self) -> None:
+    def _to_final_frame(self) -> None:
         """Bring the finished network into its frame: the stated one, the floor plan's, or that of the first station."""
-        self._erect()
+        self._level_stations()
         if self._anchored or not self._joined.any() or self._anchor():
             return
         first = int(np.argmax(self._joined))
@@ -270,26 +283,28 @@ class Growth:
         turn = turn if heading is None else heading @ turn
         if not np.array_equal(turn, np.eye(3)):
             self._move(turn, np.zeros(3))
-        here, there = self._frame.common(self._position, self._known())
+        here, there = self._frame.common(self._position, self._target_places())
         if len(here):
             self._move(np.eye(3), (there - here).mean(axis=0))
             return
-        motion = None if self._frame.is_stated else self._frame.plan_motion(self._position, self._rotation)
+        motion = None if self._frame.has_places else self._frame.plan_motion(self._position, self._rotation)
         if motion is not None:
             self._move(*motion)
 
-    def _erect(self) -> None:
+    def _level_stations(self) -> None:
         """Stations that read no angle stand upright: along the others' axes, or on the floor plan."""
-        told = np.bincount(self._recording.station, np.isfinite(self._front[:, 1:]).any(axis=1), len(self._joined)) > 0
-        if told.any():
-            up = self._rotation[told & self._joined, :, 2].sum(axis=0)
+        reads_angles = (
+            np.bincount(self._recording.station, np.isfinite(self._front[:, 1:]).any(axis=1), len(self._joined)) > 0
+        )
+        if reads_angles.any():
+            up = self._rotation[reads_angles & self._joined, :, 2].sum(axis=0)
         elif self._planned and not self._anchored:
             up = VERTICAL
         else:
             return
         if np.linalg.norm(up) > 0.0:
             turn = smallest_turn(VERTICAL, up / np.linalg.norm(up))
-            for station in np.flatnonzero(~told & self._joined):
+            for station in np.flatnonzero(~reads_angles & self._joined):
                 self._rotation[station] = turn @ about_z(float(np.nan_to_num(self._frame.yaw[station])))
 
     # --- beginnings ------------------------------------------------------------------------------------------------
@@ -298,7 +313,7 @@ class Growth:
         """Begin with the known points."""
         self._located = self._frame.points.copy()
         self._position = self._frame.stations.copy()
-        self._anchored = self._upright = self._frame.is_stated
+        self._anchored = self._upright = self._frame.has_places
 
     def _begin_with_cloud(self) -> None:
         """Begin with a station that measured targets whole."""
@@ -318,23 +333,23 @@ class Growth:
         ranges[self._recording.station, self._recording.target] = self._front[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
         targets = np.flatnonzero(np.isfinite(ranges[stations]).all(axis=0))
-        found = multilaterate(ranges[np.ix_(stations, targets)])
-        if found is not None:
-            self._located[targets], self._planned = self._frame.placed(stations, found[0], targets, found[1])
+        network = multilaterate(ranges[np.ix_(stations, targets)])
+        if network is not None:
+            self._located[targets], self._planned = self._frame.placed(stations, network[0], targets, network[1])
 
     def _begin_with_places(self) -> None:
         """Begin with every place that is stated, well or roughly; stations look as their azimuths say on average."""
         self._begin_with_frame()
         self._located, marks = self._frame.near.copy(), self._frame.marks
-        stated = np.where(
+        declared = np.where(
             (marks.target >= 0)[:, None], self._located[marks.target] + marks.offset, self._frame.stations
         )
-        stated = np.where(np.isnan(stated), self._frame.plan, stated)
-        for station in np.flatnonzero(np.isfinite(stated).all(axis=1)).tolist():
+        declared = np.where(np.isnan(declared), self._frame.plan, declared)
+        for station in np.flatnonzero(np.isfinite(declared).all(axis=1)).tolist():
             rows = np.flatnonzero(self._recording.station == station)
-            x, y, _ = (self._located[self._recording.target[rows]] - stated[station]).T
+            x, y, _ = (self._located[self._recording.target[rows]] - declared[station]).T
             turns = np.exp(1j * (np.arctan2(y, x) - self._front[rows, 1]))
-            self._place(station, stated[station], about_z(float(np.angle(np.nansum(turns)))))
+            self._place(station, declared[station], about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
         """Begin with the plan that directions of upright stations, and lengths in plan, put together."""
@@ -343,19 +358,23 @@ class Growth:
         if not len(rows) or np.isfinite(self._front[:, 2]).any():
             return
         stands = np.where(marks.target >= 0, marks.target, len(self._located) + marks.first)
-        known = np.concatenate([frame.in_plan, frame.stations])[:, :2]
+        control = np.concatenate([frame.in_plan, frame.stations])[:, :2]
         ranged = np.flatnonzero(np.isfinite(self._front[:, 0]))
         lines = Lines(stands[recording.station[ranged]], recording.target[ranged], self._front[ranged, 0])
         station, end = recording.station[rows], recording.target[rows]
-        found = plan_of(station, stands[station], end, self._front[rows, 1], known, lines)
-        if found is None:
+        plan = plan_of(station, stands[station], end, self._front[rows, 1], control, lines)
+        if plan is None:
             self._loose = loose_lines(station, stands[station], end, self._front[rows, 1], lines)
             return
-        places, yaw, in_frame = np.pad(found[0], ((0, 0), (0, 1))), found[1], found[2]
+        places, yaw, in_frame = np.pad(plan[0], ((0, 0), (0, 1))), plan[1], plan[2]
         if in_frame:
             self._begin_with_frame()
-        for one in np.flatnonzero(np.isfinite(yaw)).tolist():
-            self._place(one, places[stands[one]] + marks.offset[one], about_z(float(yaw[one])))
+        for station_index in np.flatnonzero(np.isfinite(yaw)).tolist():
+            self._place(
+                station_index,
+                places[stands[station_index]] + marks.offset[station_index],
+                about_z(float(yaw[station_index])),
+            )
         self._located = np.where(np.isnan(self._located), places[: len(self._located)], self._located)
         self._anchored, self._upright = in_frame, True
 
@@ -369,9 +388,9 @@ class Growth:
         return f"; in plan nothing tells the length of the lines {lines}" if lines else ""
 
     def result(self, loose: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
-        """Positions, rotations and targets, and the targets without a place; NetworkError as of `reached_network`."""
+        """Positions, rotations and targets, and the targets without a place; NetworkError as of `initial_network`."""
         self._require_stations(loose)
-        points = self._known()
+        points = self._target_places()
         lost = np.asarray(np.isnan(points).any(axis=1))
         points = np.where(lost[:, None], points[~lost].mean(axis=0), points)
         return (self._frame.marks.on_marks(self._position, points), self._rotation, points), lost
@@ -383,9 +402,9 @@ class Growth:
             lost = listing([recording.stations[s] for s in np.flatnonzero(~self._joined)])
             shared = self._shared()
             nearest = int(np.argmax(np.where(self._joined, -1, shared)))
-            most, own = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
-            known = own[self._have[own]]
-            if most >= 3 and on_a_line(self._known()[known]):
+            most, pair_targets = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
+            placed = pair_targets[self._have[pair_targets]]
+            if most >= 3 and on_a_line(self._target_places()[placed]):
                 what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
             else:
                 what = f"shares only {most} targets with the rest of the network; at least three"

@@ -28,7 +28,7 @@ class NetworkRows:
     levels: LevelRows
     yaws: YawRows
     marks: Marks
-    known_marks: ControlRows
+    mark_control: ControlRows
     differences: DifferenceRows
     unknowns: Unknowns
 
@@ -40,8 +40,8 @@ class NetworkRows:
     @property
     def knows_nothing(self) -> bool:
         """Whether no known length, point, difference, level or azimuth zero joins the readings."""
-        known = self.gauge, self.control, self.known_marks, self.differences, self.levels, self.yaws
-        return not any(len(rows) for rows in known)
+        references = self.gauge, self.control, self.mark_control, self.differences, self.levels, self.yaws
+        return not any(len(rows) for rows in references)
 
 
 @dataclass(frozen=True)
@@ -54,16 +54,16 @@ class Structure:
     """Stations without azimuths, and those without any angle or level."""
     height: Ints
     """Levelled stations that only read azimuths and horizontal distances."""
-    place: Ints
+    unread_stations: Ints
     """Stations without any reading."""
     unseen: Bools
     """(T,): targets without a reading in use, known coordinates or a set-up on them."""
-    flat: Bools
+    height_free_targets: Bools
     """(T,): targets of which levelled set-ups read, or under which they read, horizontal directions and horizontal
     distances alone: nothing tells their height."""
-    turned: Ints
+    oriented_stations: Ints
     """Stations whose yaw the readings know."""
-    idle: int
+    constraints_on_unseen: int
     """Known coordinates of unseen targets: they check nothing."""
     scale: Ints
     """One target, whose distance from the first station is held where directions alone tell no scale and rough places
@@ -81,11 +81,11 @@ class Structure:
         feels = np.bincount(recording.station, high, count) > 0
         level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
         level[levels.station] = True
-        alone[network.known_marks.target] = False
+        alone[network.mark_control.target] = False
         height = alone & azimuth & ~feels & level
-        seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        seen[network.control.target[network.control.axes.all(axis=1)]] = True
-        seen[marks.target[marks.target >= 0]] = True
+        is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
+        is_read[network.control.target[network.control.axes.all(axis=1)]] = True
+        is_read[marks.target[marks.target >= 0]] = True
         upright = np.zeros(count, dtype=bool)
         upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
         on = marks.target >= 0
@@ -95,29 +95,29 @@ class Structure:
         flat[marks.target[on & (feels | ~upright)]] = False
         flat[network.control.target[network.control.axes[:, 2]]] = False
         flat[np.concatenate([network.gauge.first, network.gauge.second])] = False
-        told = network.differences.told(np.concatenate([flat, height, [False]]))
-        known = np.concatenate([network.control.axes[:, 2], network.known_marks.axes[:, 2]])
-        stands = np.where(marks.target >= 0, told[marks.target], told[len(flat) : -1])
+        height_free = network.differences.height_free(np.concatenate([flat, height, [False]]))
+        has_height = np.concatenate([network.control.axes[:, 2], network.mark_control.axes[:, 2]])
+        stands = np.where(marks.target >= 0, height_free[marks.target], height_free[len(flat) : -1])
         return cls(
-            idle=int(network.control.axes[~seen[network.control.target]].sum()),
+            constraints_on_unseen=int(network.control.axes[~is_read[network.control.target]].sum()),
             unknowns=network.unknowns,
             yaw=np.flatnonzero(~azimuth),
             tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height=np.flatnonzero(told[len(flat) : -1]),
-            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
-            unseen=~seen,
-            flat=told[: len(flat)],
-            turned=np.flatnonzero(azimuth),
-            scale=_first_seen(network) if _takes_scale(network) else np.zeros(0, dtype=np.int64),
-            in_plan=bool(stands.all() and (told[: len(flat)] | ~seen).all() and not known.any()),
+            height=np.flatnonzero(height_free[len(flat) : -1]),
+            unread_stations=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
+            unseen=~is_read,
+            height_free_targets=height_free[: len(flat)],
+            oriented_stations=np.flatnonzero(azimuth),
+            scale=_scale_target(network) if _takes_scale(network) else np.zeros(0, dtype=np.int64),
+            in_plan=bool(stands.all() and (height_free[: len(flat)] | ~is_read).all() and not has_height.any()),
         )
 
     @property
     def held_columns(self) -> Ints:
         """Columns (h, 3) of each row that holds."""
         unknowns = self.unknowns
-        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3]]
-        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.flat, 2:3]]
+        single = [unknowns.target[self.unseen], unknowns.pose[self.unread_stations, :3]]
+        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.height_free_targets, 2:3]]
         rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
         rows.append(unknowns.target[self.scale])
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
@@ -126,7 +126,7 @@ class Structure:
         """Directions (h, 3) in these columns."""
         yaw = state.rotation[self.yaw] @ VERTICAL
         tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
-        arm = state.points[self.scale] - state.position[self.turned[: len(self.scale)]]
+        arm = state.points[self.scale] - state.position[self.oriented_stations[: len(self.scale)]]
         away = arm / np.linalg.norm(arm, axis=1, keepdims=True)
         single = np.zeros((self.held - len(yaw) - len(tilt) - len(away), 3))
         single[:, 0] = 1.0
@@ -139,38 +139,44 @@ class Structure:
         held[self.yaw, 3:] = True
         held[self.tilt, 3:] = True
         held[self.height, 2] = True
-        held[self.place, :3] = True
+        held[self.unread_stations, :3] = True
         return held
 
     @property
     def held(self) -> int:
         """Number h of held unknowns."""
-        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.scale) + len(self.height) + 3 * len(self.place)
-        return counted + int(self.flat.sum()) + 3 * int(self.unseen.sum())
+        counted = (
+            len(self.yaw) + 2 * len(self.tilt) + len(self.scale) + len(self.height) + 3 * len(self.unread_stations)
+        )
+        return counted + int(self.height_free_targets.sum()) + 3 * int(self.unseen.sum())
 
     @property
     def anchors(self) -> Ints:
         """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
-        return self.turned[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
+        return self.oriented_stations[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
 
     @property
     def anchors_turn(self) -> bool:
         """Whether the datum rows hold the turns of the anchors too."""
-        return len(self.turned) > 0
+        return len(self.oriented_stations) > 0
 
 
 def _takes_scale(network: NetworkRows) -> bool:
     """Whether nothing that was measured or is known tells the scale, and rough places of the datum's targets do."""
-    use, recording, known = network.use, network.model.recording, network.control.axes
+    use, recording, control_axes = network.use, network.model.recording, network.control.axes
     high = use[:, 2].any()
-    told = use[:, 0].any() or len(network.gauge) or len(network.differences) or len(network.known_marks)
-    if told or known[:, : 3 if high else 2].any() or (high and any(height.any() for height in recording.heights())):
+    has_scale = use[:, 0].any() or len(network.gauge) or len(network.differences) or len(network.mark_control)
+    if (
+        has_scale
+        or control_axes[:, : 3 if high else 2].any()
+        or (high and any(height.any() for height in recording.heights()))
+    ):
         return False
     targets = map(recording.target_setup, recording.targets)
-    return sum(one.datum and one.approximate_mm is not None for one in targets) > 1
+    return sum(target.datum and target.approximate_mm is not None for target in targets) > 1
 
 
-def _first_seen(network: NetworkRows) -> Ints:
+def _scale_target(network: NetworkRows) -> Ints:
     """(1,) A target to which the first station with azimuths reads one."""
     recording, rows = network.model.recording, np.flatnonzero(network.use[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]

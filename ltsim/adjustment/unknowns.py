@@ -27,7 +27,7 @@ class Unknowns:
     """(I, p)."""
     extra: Ints
     """(q,)."""
-    kept: int
+    n_reduced: int
     """Number of kept columns K."""
     size: int
     """Number of all columns."""
@@ -49,17 +49,17 @@ class Unknowns:
             first, size = size, size + rows * width
             return np.arange(first, size).reshape(rows, width)
 
-        own = np.ones((stations, 6), dtype=bool)
-        own[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
+        has_columns = np.ones((stations, 6), dtype=bool)
+        has_columns[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
         keep = np.zeros(targets, dtype=bool)
-        apart = differences.ends[differences.ends < targets]
-        keep[np.concatenate([gauge.first, gauge.second, marks.target[over], apart])] = True
+        difference_ends = differences.ends[differences.ends < targets]
+        keep[np.concatenate([gauge.first, gauge.second, marks.target[over], difference_ends])] = True
         pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
-        pose[own] = fresh(int(own.sum()), 1)[:, 0]
+        pose[has_columns] = fresh(int(has_columns.sum()), 1)[:, 0]
         target[keep] = fresh(int(keep.sum()), 3)
         instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
-        kept = size
+        n_reduced = size
         target[~keep] = fresh(int((~keep).sum()), 3)
         pose[over, :3] = target[marks.target[over]]
         pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
-        return cls(pose, target, instrument, extra, kept, size)
+        return cls(pose, target, instrument, extra, n_reduced, size)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.quality import warnings_of
 from ltsim.adjustment.reliability import FEW
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
@@ -50,7 +50,7 @@ class Verdict:
 
 def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
     """The verdict on an adjustment, by a global test at a two-sided `level`."""
-    judged, open_ = _by_tests(adjustment, level), doubts(adjustment)
+    judged, open_ = _by_tests(adjustment, level), warnings_of(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
@@ -79,7 +79,7 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     if sigma0 < low:
         sentence = (
             f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too lenient; by "
-            f"the tau-test {_readings(by_tau)}. {noise_to_state(adjustment, level)}"
+            f"the tau-test {_readings(by_tau)}. {noise_to_declare(adjustment, level)}"
         )
         return Verdict(Agreement.SMALLER_NOISE, sentence.rstrip(), True)
     rest = chi2 - sum(o.w**2 for o in outliers)
@@ -101,7 +101,7 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     return Verdict(Agreement.LARGER_NOISE, sentence, True)
 
 
-def noise_to_state(adjustment: Adjustment, level: float = LEVEL) -> str:
+def noise_to_declare(adjustment: Adjustment, level: float = LEVEL) -> str:
     """Advice on the noise to declare where readings scatter less than declared, in a sentence; empty where none do.
 
     Observables are taken one by one: their residuals' sum of squares over their redundancy, below what chance leaves.
@@ -131,11 +131,11 @@ def noise_to_state(adjustment: Adjustment, level: float = LEVEL) -> str:
 
 def _by_targets(adjustment: Adjustment) -> str:
     """The targets whose own readings scatter far more than all others, in words."""
-    named, own, rest = adjustment.restless
+    named, scatter, rest = adjustment.noisy_targets
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)
-    return f"; readings to {names} scatter {own:.2g} times as stated, the others {rest:.2g} times"
+    return f"; readings to {names} scatter {scatter:.2g} times as stated, the others {rest:.2g} times"
 
 
 def _readings(count: int) -> str:

@@ -112,7 +112,7 @@ class Calibration(Result):
     robust: bool = False
     noise: tuple[NoiseRow, ...] = ()
     reference_values: tuple[ReferenceValueEntry, ...] = ()
-    lost_targets: tuple[str, ...] = ()
+    undetermined_targets: tuple[str, ...] = ()
     axes: AxesEntry | None = None
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters that were not estimated but held at their value."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.start import initial_network
 from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError
@@ -68,7 +68,7 @@ def _filler(recording: Recording) -> Floats:
     if not incomplete.any():
         return np.zeros(recording.readings.shape)
     try:
-        (position, rotation, points), lost = reached_network(recording)
+        (position, rotation, points), lost = initial_network(recording)
     except NetworkError as problem:
         raise _placeless(incomplete, str(problem)) from None
     untied: Bools = incomplete & recording.measured.any(axis=1) & lost[recording.target]

@@ -10,7 +10,7 @@ from scipy import special
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.adjustment.snooping import screened
+from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
 from ltsim.calibration.correct import corrected_readings
@@ -52,7 +52,7 @@ def calibrate_distance(
     parameter_prior = (choice or Choice()).applied(recording, built)
     prior, held = parameter_prior.sigma, parameter_prior.held
     source = SourceEntry.of(recording)
-    recording, _, gross, _ = screened(recording)
+    recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
     problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
@@ -91,7 +91,7 @@ def calibrate_distance(
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
         criteria=result.criteria_of(recording, adjustment, built, values),
         outliers=result.outliers_of(adjustment),
-        lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
+        undetermined_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
         recording=source,
         notes=(*result.notes_on_modes(adjustment), *notes),
         adjustment=adjustment,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from ltsim.adjustment.remedies.undetermined import SILENT
+from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
 from ltsim.calibration.schema import DeterminedEntry, HarmonicEntry
 from ltsim.core import probability
 from ltsim.core.arrays import Floats
@@ -39,7 +39,7 @@ class LikelihoodInformation:
     remaining: Floats
     """(p, p): covariance after the calibration."""
     information: Floats
-    """(p, p): inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`."""
+    """(p, p): inverse covariance less that of the prior; 0 for combinations with a gain under `UNINFORMATIVE`."""
     information_vector: Floats
     """(p,): `information` times the estimate that the readings alone would give."""
 
@@ -51,7 +51,7 @@ def likelihood_information(
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
     shares, vectors = linalg.eigh(remaining / np.outer(prior, prior))
-    informative = 1.0 - shares > SILENT
+    informative = 1.0 - shares > UNINFORMATIVE
     inverse = np.where(informative, 1.0 / np.where(informative, shares, 1.0), 0.0)
     basis = vectors / prior[:, None]
     information = (basis * np.where(informative, inverse - 1.0, 0.0)) @ basis.T

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.refit import Estimated, Refit, refit
-from ltsim.adjustment.reliability import surprise
+from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.core.errors import ModelError, option
@@ -82,8 +82,8 @@ def fit_with_extra_effects(
     fit, fixed = Refit(adjustment, tuple(always), ()), [frozenset[str]()] * len(always)
     for wanted in extra_effects:
         candidates, space = wanted.candidates(adjustment), ResidualSpace.of(adjustment)
-        best = max(candidates, key=lambda effect: float(surprise(*space.explained(space.signature(effect)))))
-        freedom, before = space.explained(space.signature(best))[1], adjustment.chi2
+        best = max(candidates, key=lambda effect: float(neg_log_p_chi2(*space.chi2_drop(space.signature(effect)))))
+        freedom, before = space.chi2_drop(space.signature(best))[1], adjustment.chi2
         if freedom:
             fixed.append(wanted.fixed)
             adjustment, fit = _settled(adjusted, [*fit.effects, best], fixed)
@@ -95,7 +95,7 @@ def fit_with_extra_effects(
     first = len(always)
     rows = (
         _sizes(effect, adjustment) if isinstance(effect, Law) else _rows(effect, estimated, given)
-        for effect, estimated, given in zip(fit.effects[first:], fit.told[first:], fixed[first:], strict=True)
+        for effect, estimated, given in zip(fit.effects[first:], fit.estimates[first:], fixed[first:], strict=True)
     )
     return adjustment, tuple(
         entry.model_copy(update={"parameters": next(rows)}) if entry.freedom else entry for entry in fits

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, special
 
-from ltsim.adjustment.remedies.undetermined import SILENT
+from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
 from ltsim.calibration.history_schema import ChangeEntry, ChiSquareEntry, DifferenceEntry
@@ -131,7 +131,7 @@ class History(Result):
         """(p, r) orthonormal combinations, in prior sigmas, that the calibrations inform on average."""
         remaining = np.mean([e.remaining for e in self._evidence], axis=0)
         values, vectors = linalg.eigh(remaining)
-        return vectors[:, 1.0 - values > SILENT]
+        return vectors[:, 1.0 - values > UNINFORMATIVE]
 
     @cached_property
     def _joint(self) -> Floats:
@@ -169,7 +169,7 @@ class History(Result):
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [first, second]] = -1.0, 1.0
         gap, spread = self._contrasted(contrast, np.eye(len(parameters)))
-        sigma = np.sqrt(np.where(self._gain > SILENT, np.diag(spread), 0.0))
+        sigma = np.sqrt(np.where(self._gain > UNINFORMATIVE, np.diag(spread), 0.0))
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         chances = 2.0 * special.ndtr(-np.abs(z))
         order = np.argsort(chances)
@@ -202,7 +202,7 @@ class History(Result):
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter is None:
             return _test(*self._contrasted(contrast, self._informative))
-        if not self._gain[parameter] > SILENT:
+        if not self._gain[parameter] > UNINFORMATIVE:
             return ChiSquareEntry.of(0.0, 0)
         return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
 
@@ -240,7 +240,7 @@ class History(Result):
             variance = spread
             if settled:
                 break
-        silent = self._gain < SILENT
+        silent = self._gain < UNINFORMATIVE
         mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
         unit = self.prior_sigma
         return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)

@@ -9,13 +9,13 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
-from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.identification import Selection, identified, outcomes
 from ltsim.adjustment.identification.fit import changed_recording
 from ltsim.adjustment.identification.tests import sentence_of
-from ltsim.adjustment.known import KINDS, SCALED
-from ltsim.adjustment.moving import Motion, moving_stations
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
+from ltsim.adjustment.quality import require_usable
+from ltsim.adjustment.reference_tests import KINDS, SCALED
+from ltsim.adjustment.station_motions import Motion, moving_stations
 from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
@@ -187,17 +187,17 @@ def _adjusted(
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     if selection is not None and selection.leads:
         adjustment = _adapted(recording, construction, selection, effects, **how)
-        require_result(adjustment)
+        require_usable(adjustment)
         return _in_frame(adjustment, datum)
     how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
-    if adjustment.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in adjustment.wrong):
+    if adjustment.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in adjustment.rejected_references):
         how["judging"] = KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
         adjustment = adjusted_network(recording, construction, effects=effects, **how)
-    require_result(adjustment)
+    require_usable(adjustment)
     if moving := _moving(adjustment):
         adjustment = adjusted_network(recording, construction, effects=(*effects, *moving), **how)
-        require_result(adjustment)
+        require_usable(adjustment)
     return _in_frame(adjustment, datum)
 
 
@@ -226,7 +226,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     at = adjustment.problem.unknowns.instrument.ravel()
     held = adjustment.problem.prior.held
     free = ~held.ravel()
-    covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)
+    covariance = np.where(free[:, None] & free, adjustment.reduced_covariance[at[:, None], at], 0.0)
     prior = adjustment.problem.prior.sigma
     values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
     return Calibration(
@@ -250,7 +250,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         robust=robust,
         noise=result.noise_of(adjustment),
         reference_values=result.reference_values_of(adjustment),
-        lost_targets=adjustment.lost_targets,
+        undetermined_targets=adjustment.undetermined_targets,
         axes=result.axes_of(adjustment),
         recording=SourceEntry.of(source),
         notes=result.notes_on(adjustment),

@@ -8,7 +8,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import FREED, ParameterPrior
 from ltsim.adjustment.reliability import FEW
-from ltsim.adjustment.remedies.undetermined import SILENT, Direction
+from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE, Direction
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
@@ -67,7 +67,7 @@ def prior_rejected(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
             likelihood.information, likelihood.information_vector, np.eye(len(free)) + given.T @ given
         )
         strength = np.einsum("hi,ij,hj->h", ways, weight, ways)
-        informative = (strength > SILENT) & ~np.isin(np.arange(len(ways)), list(others))
+        informative = (strength > UNINFORMATIVE) & ~np.isin(np.arange(len(ways)), list(others))
         estimate = ways @ score / np.where(informative, strength, np.inf)
         odds = np.round(log_odds(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(ways)), 1)
         return np.where(informative & (np.abs(estimate) < FREED), odds, -np.inf)
@@ -129,7 +129,7 @@ def log_odds(z: Floats, weight: Floats, count: int) -> Floats:
 
 def _normalised(deviation: Floats, gain: Floats) -> Floats:
     """Deviations (k,) from the prior, in prior sigmas, over their standard deviation; 0 without information."""
-    return np.where(gain > SILENT, deviation / np.sqrt(np.maximum(gain, SILENT)), 0.0)
+    return np.where(gain > UNINFORMATIVE, deviation / np.sqrt(np.maximum(gain, UNINFORMATIVE)), 0.0)
 
 
 def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.evaluation.criteria import Criteria, evaluate
 from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.known import UNITS
+from ltsim.adjustment.reference_tests import UNITS
 from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.calibration.calibration import SHOWN_UNITS
@@ -91,8 +91,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
     """Mask (n, 3) of readings whose residual is an error: of an undetermined target those that contradict others."""
     recording = adjustment.recording
-    lost = np.isin(recording.targets, adjustment.lost_targets)[recording.target]
-    untied = np.isin(recording.targets, adjustment.untied)[recording.target]
+    lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
+    untied = np.isin(recording.targets, adjustment.unconnected)[recording.target]
     return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > CONTRADICTS))
 
 
@@ -132,7 +132,7 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
 def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
     """Reference coordinates, lengths and levels, each tested by the rest: one entry per component."""
     entries = []
-    for test, k in ((each, k) for each in adjustment.known for k in range(len(each.error))):
+    for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
         is_scalar, is_tested = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
         entry = ReferenceValueEntry(
@@ -146,7 +146,7 @@ def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ..
             unit=unit,
             redundancy=float(test.redundancy[k]),
             w=test.w,
-            excluded=test.left_out,
+            excluded=test.excluded,
         )
         entries.append(entry)
     return tuple(entries)
@@ -154,7 +154,7 @@ def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ..
 
 def axes_of(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of axes that declared coordinates define, from their misfit to the network; None without."""
-    used = [test for test in adjustment.axes if not test.left_out]
+    used = [test for test in adjustment.axis_tests if not test.excluded]
     if not used:
         return None
     places = adjustment.state.points[[adjustment.recording.targets.index(test.name) for test in used]]
@@ -179,13 +179,13 @@ def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the fit of the coordinates that only define the axes; empty without such coordinates."""
-    used = [test for test in adjustment.axes if not test.left_out]
+    used = [test for test in adjustment.axis_tests if not test.excluded]
     fitted = axes_of(adjustment)
     if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in used) / MILLIMETRE
     source = adjustment.recording.setup.axes
-    out = [f"{test.name} ({test.off})" for test in adjustment.axes if test.left_out]
+    out = [f"{test.name} ({test.error_text})" for test in adjustment.axis_tests if test.excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
@@ -203,7 +203,7 @@ def frame_of(adjustment: Adjustment) -> str:
     first = recording.stations[0]
     control_rows, flat = problem.control, adjustment.open_heights[problem.control.target]
     control = [recording.targets[i] for i in control_rows.target[control_rows.axes[:, :2].any(axis=1) | ~flat]]
-    control += [problem.marks.names[i] for i in problem.known_marks.target]
+    control += [problem.marks.names[i] for i in problem.mark_control.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
     turned = [recording.stations[i] for i in problem.yaws.station]
     zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []
@@ -299,7 +299,7 @@ def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
-    if Frame.of(recording).tells_hand(state.position, state.points):
+    if Frame.of(recording).resolves_mirror(state.position, state.points):
         return ()
     return (
         "ranges alone do not distinguish a network from its mirror image; add approximate coordinates of a few targets "

@@ -378,7 +378,7 @@ class CalibrationFile(ResultFile):
     """Verdict on the test to trust."""
     reference_values: tuple[ReferenceValueEntry, ...] = ()
     """Reference coordinates, lengths and levels, each tested by the rest."""
-    lost_targets: tuple[str, ...] = ()
+    undetermined_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
     """Standard deviations of the axes, where declared coordinates define them (`--frame`)."""

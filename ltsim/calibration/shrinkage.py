@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.undetermined import SILENT
+from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
 from ltsim.calibration.calibration import Correction
 from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
@@ -68,7 +68,7 @@ def correction_of(
     used = np.setdiff1d(free, gone)
     root = block_diag(*prior.roots)[np.ix_(free, free)]
     at = adjustment.problem.unknowns.instrument.ravel()[free]
-    precision = np.linalg.inv(root @ adjustment.kept_covariance[np.ix_(at, at)] @ root.T)
+    precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(at, at)] @ root.T)
     vector = precision @ root @ (adjustment.state.instrument.ravel() - mean)[free]
     within = np.searchsorted(free, used)
     unit = wider or 1.0
@@ -279,7 +279,7 @@ def terms_to_drop(adjustment: Adjustment) -> Ints:
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns
-    if unknowns.kept > LARGEST:
+    if unknowns.n_reduced > LARGEST:
         return none
     targets = held_out_targets(adjustment)
     if len(targets) < FEWEST:
@@ -301,8 +301,8 @@ def terms_to_drop(adjustment: Adjustment) -> Ints:
 def _terms(adjustment: Adjustment) -> list[Ints]:
     """Indices of each term, a cosine with its sine or a single parameter, that was estimated and has information."""
     prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
-    remaining = np.diag(adjustment.kept_covariance)[at] / prior.sigma.ravel() ** 2
-    open_ = ~prior.held.ravel() & (remaining < 1.0 - SILENT)
+    remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
+    open_ = ~prior.held.ravel() & (remaining < 1.0 - UNINFORMATIVE)
     sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.names)}
     each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
     terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
@@ -316,7 +316,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     Control coordinates of a target are held out with its readings and predicted with them.
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
-    system, n_reduced = adjustment.solution.system, adjustment.problem.unknowns.kept
+    system, n_reduced = adjustment.solution.system, adjustment.problem.unknowns.n_reduced
     control_targets = np.repeat(problem.control.target, problem.control.axes.sum(axis=1))
     lengths = np.full(len(problem.gauge), -1)
     row_target = np.concatenate([adjustment.recording.target[np.nonzero(problem.use)[0]], lengths, control_targets])
@@ -339,7 +339,7 @@ def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, F
 
 
 def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
-    covariance, at = adjustment.kept_covariance, adjustment.problem.unknowns.instrument.ravel()
+    covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument.ravel()
     spread = covariance @ design.T
     alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
     by_parameter = alone @ spread[at].T

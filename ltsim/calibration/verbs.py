@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
-from ltsim.adjustment.snooping import screened
+from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import METHODS, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
@@ -193,7 +193,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     True
     """
     source = recording_of(recording)
-    use = ~screened(source).gross
+    use = ~screen_gross_errors(source).gross
     if calibration is None:
         return criteria_of(source, use=use)
     corrections = calibration_of(calibration)

@@ -114,7 +114,7 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
 
     Ranges have no hand: of two mirror images the one that fits better counts.
     """
-    lost = np.isin(adjustment.recording.targets, adjustment.lost_targets)
+    lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(lost[:, None], np.nan, adjustment.state.points)
     if adjustment.recording.measured[:, 1:].any():
         return on_points(points, goal)
@@ -179,7 +179,7 @@ class Single(Calibrator):
         if self.method == "network":
             adjustment = adjust(recording, self.construction, effects=self.effects)
             adjustment.solution.require_success()
-            variance = np.diag(adjustment.kept_covariance)[adjustment.problem.unknowns.instrument]
+            variance = np.diag(adjustment.reduced_covariance)[adjustment.problem.unknowns.instrument]
             return adjustment, adjustment.state.instrument, np.sqrt(variance)
         calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
         return calibration.adjustment, calibration.values, calibration.sigma

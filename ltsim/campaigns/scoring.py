@@ -223,7 +223,7 @@ class ExpectedTruth:
         columns = np.concatenate([unknowns.instrument.ravel(), unknowns.extra[first : first + len(more)]])
         free = np.concatenate([~calibration.held.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
-        missed = adjustment.kept_covariance[columns[:, None], columns] / np.outer(units, units)
+        missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
         missed = np.where(free[:, None] & free, missed, 0.0)
         return cls(np.append(mean, more), np.append(drawn, 0.0 * more), missed, columns, units)
 

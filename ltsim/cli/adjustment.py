@@ -113,11 +113,11 @@ def evaluate(
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
     from ltsim.adjustment.evaluation.criteria import CriteriaFile
-    from ltsim.adjustment.snooping import screened
+    from ltsim.adjustment.snooping import screen_gross_errors
 
     terminal.check_overwrite(CriteriaFile)
     recording = reading.open(source, terminal)
-    gross = screened(recording).gross
+    gross = screen_gross_errors(recording).gross
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])

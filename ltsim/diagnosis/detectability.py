@@ -5,7 +5,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.detectability import MinimalSize, Seen, information_left, seen_from, thinned
+from ltsim.adjustment.remedies.detectability import (
+    EffectDetectability,
+    MinimalSize,
+    effect_detectability,
+    thinned,
+    visible_information,
+)
 from ltsim.adjustment.remedies.next_measurement import deciding, explanation, space_of
 from ltsim.adjustment.remedies.remedy import advice
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
@@ -52,7 +58,7 @@ def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> De
     return tuple(detectable), tuple(sorted(hidden, key=lambda entry: -(entry.undetected_target_error_um or 0.0)))
 
 
-def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> Seen:
+def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
     """Detectability of an effect at a sample of its places, in double precision, as it is reported."""
     sample, entries = thinned(effects), []
     step = max(1, AT_ONCE // (space.size * len(sample[0].parameters)))
@@ -63,9 +69,9 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> Seen:
         for effect, signature, gram in zip(batch, signatures, grams, strict=True):
             norm = np.linalg.norm(signature, axis=0)
             unit = np.where(norm > 0, norm, 1.0)
-            information = information_left(gram / np.outer(unit, unit), norm, VISIBLE)
+            information = visible_information(gram / np.outer(unit, unit), norm, VISIBLE)
             entries.append((effect, *information, np.zeros((0, 0))))
-    return seen_from(entries, len(effects))
+    return effect_detectability(entries, len(effects))
 
 
 def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:

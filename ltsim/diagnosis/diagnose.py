@@ -214,7 +214,7 @@ def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: 
         if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
         likeliest_noise = _with_probability(ranked[most], rest[most])
-        space = case.space.beside(bases[most].effects)
+        space = case.space.with_effects(bases[most].effects)
         case.add_noise(most_likely(space, case.space.sigma, likeliest_noise))
         case.set_adjustment(case.estimate_variance_components(bases[most].effects))
         model = case.searcher.search(threshold, something=False)

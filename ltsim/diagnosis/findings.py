@@ -115,7 +115,7 @@ class Explained:
         readings that support it (participation ratio), or if neither place, observable nor form is determined.
         """
         effect, gain = self.refit.effects[member], self.gains[member]
-        sizes = [size for size in self.refit.told[member] if size.parameter in effect.parameters]
+        sizes = [size for size in self.refit.estimates[member] if size.parameter in effect.parameters]
         together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
         sized = isinstance(effect, Law) or together or any(abs(size.value) > SURE * size.sigma for size in sizes)
         p_located = self.p_located[member]
@@ -252,7 +252,7 @@ class Explained:
 
     def _estimates(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[Estimate, ...]:
         """The sizes of a member, by rows where the recording has no clock."""
-        refitted = [Estimate.of(*estimate) for estimate in self.refit.told[member] if np.isfinite(estimate.sigma)]
+        refitted = [Estimate.of(*estimate) for estimate in self.refit.estimates[member] if np.isfinite(estimate.sigma)]
         if isinstance(hypothesis.effect, BASELINE_KINDS):
             return self._constants(hypothesis.effect)
         estimates = self.case.searcher.estimates(hypothesis, others, refitted)

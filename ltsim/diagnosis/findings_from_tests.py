@@ -3,9 +3,9 @@
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.blunders import GrossFinding
 from ltsim.adjustment.identification import Test
-from ltsim.adjustment.known import UNITS, KnownTest
+from ltsim.adjustment.reference_tests import UNITS, ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.findings import among, place_of
@@ -44,7 +44,7 @@ DATUM = {
 """Name of the erroneous item for each kind of reference value."""
 
 
-def reference_value_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
+def reference_value_finding(test: ReferenceTest, adjustment: Adjustment) -> Finding:
     """Finding of a reference value that contradicts the rest."""
     recording = adjustment.recording
     joined = test.name.partition("#")[0].split("-") if test.kind in ("length", "difference") else []
@@ -68,7 +68,7 @@ def reference_value_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
             else (),
         ),
         parameters=tuple(rows),
-        evidence=Evidence(chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
+        evidence=Evidence(chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
         sentence=sentence,
         formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
         carrier=DATUM[test.kind],

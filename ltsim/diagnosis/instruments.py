@@ -10,7 +10,7 @@ from scipy import linalg
 from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import LEFT, ParameterPrior, prior_sigmas
+from ltsim.adjustment.prior import CORRECTED_SHARE, ParameterPrior, prior_sigmas
 from ltsim.calibration.evidence import (
     by_plausible_sizes,
     determined,
@@ -138,7 +138,7 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     is_compared = ~corrected & (np.sum(~corrected) > 1)
     common = np.where(np.outer(is_compared, is_compared)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0)
     common /= unit[:, None] * unit  # what all have in common is within the least of their guarantees
-    separate = np.where(corrected, LEFT**2, np.where(is_compared, 0.0, 1.0))
+    separate = np.where(corrected, CORRECTED_SHARE**2, np.where(is_compared, 0.0, 1.0))
     blocks = common + (np.eye(len(unit)) * separate)[:, :, None]
     covariance = np.einsum("ijp,pq->ipjq", blocks, np.eye(unit.shape[1])).reshape(unit.size, unit.size)
     ours = tuple(np.flatnonzero(corrected).tolist())

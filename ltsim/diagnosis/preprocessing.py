@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import Selection, outcomes
 from ltsim.adjustment.identification.fit import Fit, changed_recording
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
-from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import finding_of, gross_finding, reference_value_finding
@@ -73,8 +73,8 @@ def adapted(
         if (test.kind, test.where.stations, test.where.targets) in places
         or (test.kind == "outlier" and (test.rows[0], test.acts_on) in rows)
     ]
-    moved, tripods = mend_tripods(baseline)
+    moved, tripods = correct_centring(baseline)
     if tripods:
         baseline = adjust(moved, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=baseline.state)
-    wrong = [reference_value_finding(test, baseline) for test in baseline.axes if test.left_out]
+    wrong = [reference_value_finding(test, baseline) for test in baseline.axis_tests if test.excluded]
     return baseline, ~errors, [*(finding_of(t) for t in tests), *wrong, *(gross_finding(t, baseline) for t in tripods)]

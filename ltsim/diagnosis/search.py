@@ -113,7 +113,7 @@ class Searcher:
         unit = np.zeros((self.space.size, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
-        rest.space, rest.large, rest._most = self.space.extended(unit), True, FEW
+        rest.space, rest.large, rest._most = self.space.augmented(unit), True, FEW
         rest.probe = self.probe.with_model(rest.space.residual, self.empty.basis)
         rest.empty = Model((), (), (), rest.space.residual)
         rest._ranked, rest._projected = {}, OrderedDict()

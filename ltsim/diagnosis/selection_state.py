@@ -135,7 +135,7 @@ class SelectionState:
     def estimate_variance_components(self, effects: Sequence[Tunable]) -> Adjustment:
         """Adjustment with REML variance components (Foerstner 1979), mean `effects` being in the model."""
         for _ in range(REWEIGHTINGS):
-            space = ResidualSpace.of(self.refit((), self.sigma).adjustment).beside(effects)
+            space = ResidualSpace.of(self.refit((), self.sigma).adjustment).with_effects(effects)
             for i, change in enumerate(self.noise):
                 others = self._weighted([*self.noise[:i], *self.noise[i + 1 :]])
                 self.noise[i] = replace(most_likely(space, others, change), drop=change.drop)
@@ -144,7 +144,7 @@ class SelectionState:
 
     def prune_variance_components(self, effects: Sequence[Tunable]) -> None:
         """Re-estimate the variance components with effects in the model; drop those whose evidence is not positive."""
-        space = ResidualSpace.of(self.estimate_variance_components(effects)).beside(effects)
+        space = ResidualSpace.of(self.estimate_variance_components(effects)).with_effects(effects)
         estimates = [
             most_likely(space, self._weighted([n for n in self.noise if n is not change]), change)
             for change in self.noise

@@ -44,7 +44,7 @@ def compare(
     level: float = 0.05,
 ) -> Comparison:
     """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
-    lost = {*first.lost_targets, *second.lost_targets}
+    lost = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
     stable_points = _frame("recordings", common, stable, held=3)
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]

@@ -80,7 +80,7 @@ class Inputs(ValueEquality):
         for name in names:
             if name not in recording.targets:
                 raise unknown_name("target", name, recording.targets)
-            if name in adjustment.lost_targets:
+            if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         at = np.array([recording.targets.index(name) for name in names])
         reach = reach_of(adjustment, at)
@@ -148,7 +148,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     by_length = reach[at : at + len(gauge)].T
     at += len(gauge)
     for name, count in (
-        (CONTROL, problem.control.count + problem.known_marks.count),
+        (CONTROL, problem.control.count + problem.mark_control.count),
         ("known differences", problem.differences.count),
         ("levels", 2 * len(problem.levels)),
         ("orientations", len(problem.yaws)),

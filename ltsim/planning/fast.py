@@ -113,8 +113,8 @@ class LayoutScorer:
         self._nuisance = sum(len(errors.parameters) for errors in problem.model.incidence)
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([np.ones(self._nuisance), self.prior_sigma, np.array(sizes, dtype=np.float64)])
-        self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)
-        self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.kept)
+        self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.n_reduced)
+        self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.n_reduced)
         rows = problem.linearise(state).design[int(problem.use.sum()) :]
         other = as_dense(rows[: rows.shape[0] - self._rank_free])
         at = problem.unknowns

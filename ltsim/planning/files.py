@@ -241,7 +241,7 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
                 "do": p.remedy.words,
                 "kind": p.remedy.kind,
                 "minutes": round(p.remedy.seconds / 60, 2),
-                "distinguishes": p.tells_apart,
+                "distinguishes": p.distinguished,
                 "decides": p.decides,
                 "position_mm": in_millimetres(there[0]) if (there := p.remedy.set_up) else None,
                 "yaw_deg": _degrees(there[1]) if there else None,

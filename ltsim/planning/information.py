@@ -48,8 +48,8 @@ class LayoutInformation:
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")
         adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
-        if adjustment.lost_targets:
-            raise NetworkError(f"the ranges from its stations do not place target {adjustment.lost_targets[0]}")
+        if adjustment.undetermined_targets:
+            raise NetworkError(f"the ranges from its stations do not place target {adjustment.undetermined_targets[0]}")
         return cls(survey, adjustment)
 
     @property

@@ -151,7 +151,7 @@ def from_recording(recording: Recording) -> PlacedWorkshop:
 def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     """Network in the frame of the floor plan of the set-up, if there is one, with floor, walls and gauge."""
     plan = FloorPlan.by(setup, network.stations, network.position, network.rotation)
-    turn, planned = plan.rotation, plan.known
+    turn, planned = plan.rotation, plan.on_plan
     points, position = plan.place(network.points), plan.place(network.position)
     normal = _nest_normals(setup, network.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())

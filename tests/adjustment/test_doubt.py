@@ -7,7 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.doubt import BENT, curvature, doubts
+from ltsim.adjustment.quality import BENT, curvature, warnings_of
 from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.randomness import stream
@@ -40,7 +40,7 @@ def with_known(recording: Recording, points: np.ndarray) -> Recording:
 
 def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
-    assert doubts(found) == ()
+    assert warnings_of(found) == ()
     assert verdict(found).case is Agreement.CLEAN
     lt.adjust(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
 
@@ -98,7 +98,7 @@ def test_a_station_without_readings_left_has_no_standard_deviation() -> None:
         assert verdict(found).sentence.startswith("Station S3 keeps")
     else:
         assert np.isnan(sigma[2]).all()
-        assert found.lost_stations == ("S3",)
+        assert found.undetermined_stations == ("S3",)
         assert "station S3: it has no standard deviation" in verdict(found).sentence
 
 
@@ -133,7 +133,7 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     assert copied.chi2 == pytest.approx(found.chi2)
     assert copied.dof == found.dof
     assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
-    assert doubts(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
+    assert warnings_of(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
     assert not copied.rejected.any()
 
 
@@ -142,9 +142,9 @@ def test_readings_that_repeat_by_chance_are_no_copies() -> None:
     rows = {n: np.tile(getattr(recording, n), 2) for n in ("station", "target", "face", "repeat")}
     readings = np.tile(recording.readings, (2, 1))
     later = recording.replace(**rows, readings=readings, time=np.arange(2.0 * len(recording)))
-    assert adjust(later).copies == 0
+    assert adjust(later).duplicate_rows == 0
     readings[-5:, 0] += 1e-6
-    assert adjust(later.replace(readings=readings, has_clock=False)).copies == 0
+    assert adjust(later.replace(readings=readings, has_clock=False)).duplicate_rows == 0
 
 
 def test_two_targets_do_for_levelled_stations() -> None:
@@ -197,7 +197,7 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
         inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
     assert (curvature(found)[4] > BENT) == bent
     assert (inside < 0.8 * trials) == bent
-    assert any("targets of station S5 hold its pose so weakly" in doubt for doubt in doubts(found)) == bent
+    assert any("targets of station S5 hold its pose so weakly" in doubt for doubt in warnings_of(found)) == bent
     assert not curvature(found)[:4].any()
 
 
@@ -215,11 +215,11 @@ def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:
     recording, _ = network(seed=9)
     places = {n: Station(position_mm=tuple(1e3 * p)) for n, p in zip(recording.stations, STATIONS, strict=True)}
     planned = recording.replace(setup=recording.setup.model_copy(update={"stations": places}))
-    assert doubts(adjust(planned)) == ()
+    assert warnings_of(adjust(planned)) == ()
     mirrored = planned.readings * [1.0, -1.0, 1.0]
-    (said,) = doubts(adjust(planned.with_readings(mirrored)))
+    (said,) = warnings_of(adjust(planned.with_readings(mirrored)))
     assert "fit the mirror image of this network" in said
     elsewhere = {n: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, n in enumerate(recording.stations)}
     lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
-    (said,) = doubts(adjust(lost))
+    (said,) = warnings_of(adjust(lost))
     assert "miss the network by up to" in said

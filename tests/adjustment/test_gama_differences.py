@@ -208,7 +208,7 @@ def test_a_network_agrees_with_the_printed_digit(tmp_path: Path, kind: str) -> N
     network = NETWORKS[kind]
     found = adjust(read(network.write(tmp_path / "network.gkf")))
     ours, theirs = network.beside(found)
-    assert not found.wrong
+    assert not found.rejected_references
     assert found.dof == network.dof
     assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
     assert np.abs(ours - theirs)[:, 0].max() < PRINTED
@@ -248,7 +248,7 @@ def test_a_wrong_difference_is_named_and_the_readings_stay(
 ) -> None:
     """But for a line that nothing checks."""
     found = adjust(read(network.write(tmp_path / "network.gkf", old, new)), robust=robust)
-    told = [test.sentence for test in found.wrong]
+    told = [test.sentence for test in found.rejected_references]
     assert len(told) == bool(name)
     assert all(name in sentence and "not its readings: left out" in sentence for sentence in told)
     assert not found.rejected.any()
@@ -270,7 +270,7 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     for name, height in lines.items():
         assert found.state.points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
     assert [names[t] for t in np.flatnonzero(found.open_heights)] == ["D"]
-    tested = {t.name: t.redundancy[0] for t in found.known if t.kind == "difference"}
+    tested = {t.name: t.redundancy[0] for t in found.reference_tests if t.kind == "difference"}
     assert [name for name, redundancy in tested.items() if redundancy > 1e-3] == ["A-B", "A-B#2"]
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
 
@@ -282,8 +282,8 @@ def test_a_difference_wrong_by_far_goes_where_others_contradict_each_other(tmp_p
         assert old in inside
         inside = inside.replace(old, new)
     found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    assert [(test.name, test.left_out) for test in found.wrong] == [("A-B#2", True)]
-    assert found.wrong[0].error[0] == pytest.approx(1500.0, abs=0.1)
+    assert [(test.name, test.excluded) for test in found.rejected_references] == [("A-B#2", True)]
+    assert found.rejected_references[0].error[0] == pytest.approx(1500.0, abs=0.1)
     assert np.abs(found.state.points[:, 2] - [14.2, 4.1, 18.9, 10.0]).max() < 0.05
 
 
@@ -301,7 +301,7 @@ def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -
     assert np.abs(ours - theirs)[:, 1].max() < 0.051
     assert found.open_heights.all()
     assert np.isnan(found.pose_covariance[:, 2, 2]).all()
-    assert all(abs(test.error[2]) == 0.0 for test in found.known if test.kind == "mark")
+    assert all(abs(test.error[2]) == 0.0 for test in found.reference_tests if test.kind == "mark")
 
 
 def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
@@ -462,7 +462,7 @@ def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path
         inside += f'<obs from="{at}"><angle bs="{back}" fs="{on}" val="{turn % 400:.5f}" stdev="6.5"/></obs>'
     recording = read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))
     found = adjust(recording, robust=True)
-    assert not adjust(recording).wrong and not found.wrong
+    assert not adjust(recording).rejected_references and not found.rejected_references
     rows, columns = np.nonzero(found.rejected)
     assert {recording.stations[s] for s in recording.station[rows]} == {"D"}
     assert set(columns.tolist()) == {1}

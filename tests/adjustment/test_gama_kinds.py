@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.doubt import curvature
+from ltsim.adjustment.quality import curvature
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.randomness import stream
 from ltsim.recordings import read
@@ -230,7 +230,7 @@ def test_a_point_with_a_distance_alone_is_left_out_and_a_turn_that_nothing_holds
     network = Network(points, [*PLAN, *sights("distance", "AF")], "Bx By Cx Cy Dx Dy Ex Ey").measured(0)
     found = adjust(read(network.write(tmp_path / "network.gkf")))
     assert found.solution.converged
-    assert found.lost_targets == ("F",)
+    assert found.undetermined_targets == ("F",)
     assert found.dof == network.solve()[3] - 1
     spread = found.pose_covariance.copy()
     spread[1, :3, 3:], spread[1, 5, 5] = np.nan, 1.0
@@ -260,7 +260,7 @@ def test_a_far_point_is_fixed_by_angles_alone(tmp_path: Path, monkeypatch: pytes
     sights = [Sight("angle", at, "E", back) for back, at in ("BA", "AB", "DB", "BD")]
     network = Network(placed("A B D", 'fix="xy"') | {"E": 'adj="xy"'}, sights, "Ex Ey").measured(0)
     found, (x, _, square_sum, dof) = adjust(read(network.write(tmp_path / "network.gkf"))), network.solve()
-    assert not found.lost_targets
+    assert not found.undetermined_targets
     assert found.dof == dof == 2
     assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
     assert np.abs(found.state.points[found.recording.targets.index("E"), :2] - x).max() < PRINTED

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.gross import mend_faces, mend_stations
+from ltsim.adjustment.blunders import correct_faces, correct_units
 from ltsim.adjustment.identification import identified, outcomes
+from ltsim.adjustment.quality import warnings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.transcription_errors import UNIT_ERRORS, TranscriptionError
 from tests.networks import network
@@ -34,7 +34,7 @@ def row_of(recording: Recording, station: str, target: str) -> int:
 def test_a_station_in_another_unit_is_mended_to_the_last_micrometre(slip: str) -> None:
     recording, _ = network(seed=4)
     rows = np.flatnonzero(recording.station == 2)
-    mended, (finding,) = mend_stations(written(recording, rows, SLIPS[slip]))
+    mended, (finding,) = correct_units(written(recording, rows, SLIPS[slip]))
     np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
     assert (finding.effect, finding.stations) == ("wrong-unit", (recording.stations[2],))
     assert finding.rows.tolist() == rows.tolist()
@@ -43,11 +43,11 @@ def test_a_station_in_another_unit_is_mended_to_the_last_micrometre(slip: str) -
 
 def test_stations_of_one_shape_are_left_as_they_are() -> None:
     recording, _ = network(seed=4)
-    same, findings = mend_stations(recording)
+    same, findings = correct_units(recording)
     assert same is recording
     assert findings == []
     two, _ = network(seed=4, stations=2)  # of two that differ nobody can tell which is wrong
-    assert mend_stations(written(two, np.flatnonzero(two.station == 1), SLIPS["gon"]))[1] == []
+    assert correct_units(written(two, np.flatnonzero(two.station == 1), SLIPS["gon"]))[1] == []
 
 
 def test_faces_follow_the_raw_elevation() -> None:
@@ -55,10 +55,10 @@ def test_faces_follow_the_raw_elevation() -> None:
     stored = recording.face.copy()
     rows = np.flatnonzero((recording.station == 1) & (recording.face == 2))[:3]
     stored[rows] = 1
-    mended, (finding,) = mend_faces(recording.replace(face=stored))
+    mended, (finding,) = correct_faces(recording.replace(face=stored))
     assert mended.face.tolist() == recording.face.tolist()
     assert (finding.effect, finding.rows.tolist()) == ("face-confusion", rows.tolist())
-    assert mend_faces(recording) == (recording, [])
+    assert correct_faces(recording) == (recording, [])
 
 
 def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
@@ -71,7 +71,7 @@ def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     readings[unit] = SLIPS["gon"].written(readings[[unit]])[0]
     readings[off, 0] += 12e-3
     found = adjust(recording.replace(target=target, readings=readings))
-    (doubt,) = doubts(found)
+    (doubt,) = warnings_of(found)
     assert "the reflectors T03 and T14" in doubt
     assert "gon for degrees" in doubt
     assert "T20" not in doubt  # an outlier alone is no mistake that anybody can name

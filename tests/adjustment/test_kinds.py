@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.fitting import multilaterate
-from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.start import initial_network
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import align
@@ -118,10 +118,10 @@ def test_what_no_reading_ties_is_named():
     lonely = blanked(recording, (recording.target == 5) & (recording.station != 2), [0, 1, 2])
     lonely = blanked(lonely, (recording.target == 5) & (recording.station == 2), [0])
     lonely = lonely.select(lonely.measured.any(axis=1))
-    assert [lonely.targets[t] for t in np.flatnonzero(reached_network(lonely)[1])] == ["T06"]
+    assert [lonely.targets[t] for t in np.flatnonzero(initial_network(lonely)[1])] == ["T06"]
     nothing = blanked(recording, np.full(len(recording), True), [0, 2])
     with pytest.raises(NetworkError, match="station S1, S2"):
-        reached_network(nothing)
+        initial_network(nothing)
 
 
 @pytest.mark.parametrize("robust", [False, True])
@@ -135,7 +135,7 @@ def test_a_target_that_loses_its_azimuths_is_left_out_and_the_rest_adjusted(robu
     lonely = lonely.select(lonely.measured.any(axis=1))
     found = adjust(lonely, misalignment(), robust=robust)
     name = f"T{target + 1:02d}"
-    assert found.lost_targets == (name,)
+    assert found.undetermined_targets == (name,)
     found.solution.require_success()
     without = with_setup(recording.select(~here), gauge=gauge_without(recording, name))
     rest = adjust(without, misalignment(), robust=robust)
@@ -155,12 +155,12 @@ def test_a_target_left_open_by_readings_out_of_use_is_left_out():
     rows = np.flatnonzero(recording.target == 5)
     use[rows] = [[True, False, True], [False, False, False]]
     found = adjust(recording, misalignment(), use=use)
-    assert found.lost_targets == ("T06",)
+    assert found.undetermined_targets == ("T06",)
     assert found.rejected[rows].all()
     rest = adjust(recording.select(recording.target != 5), misalignment())
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
     use[rows[1], 1] = True
-    assert adjust(recording, misalignment(), use=use).lost_targets == ()
+    assert adjust(recording, misalignment(), use=use).undetermined_targets == ()
 
 
 def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustment():
@@ -173,7 +173,7 @@ def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustmen
     readings[rows[1], [0, 2]] = np.nan
     found = adjust(recording.with_readings(readings), misalignment(), robust=True)
     found.solution.require_success()
-    assert found.lost_targets == ("T06",)
+    assert found.undetermined_targets == ("T06",)
     assert found.rejected.sum() == 4
     rest = adjust(recording.select(recording.target != 5), misalignment())
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
@@ -192,7 +192,7 @@ def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_co
     readings = recording.readings.copy()
     readings[rows, 0] += [5e-5, -5e-5]
     found = adjust(recording.with_readings(readings), robust=True)
-    assert found.lost_targets == ("T06",)
+    assert found.undetermined_targets == ("T06",)
     assert set(np.argwhere(found.rejected)[:, 0]) == set(rows)
     assert np.abs(found.residuals[rows, 0]).max() < 2e-4
     assert not adjust(recording, robust=True).rejected.any()
@@ -431,7 +431,7 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
     np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)
     np.testing.assert_allclose(
-        tied.kept_covariance[np.ix_(*2 * [tied.problem.unknowns.pose[2]])], tied.pose_covariance[2], rtol=1e-8
+        tied.reduced_covariance[np.ix_(*2 * [tied.problem.unknowns.pose[2]])], tied.pose_covariance[2], rtol=1e-8
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points, with_control
-from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.quality import warnings_of
 from ltsim.calibration.files import calibration_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
@@ -59,13 +59,13 @@ def test_a_wrong_control_point_is_named_and_the_readings_stay(size: float, robus
     for i, name in enumerate(SIX):
         recording = controlled(10 + i, {name: size}, stations=3)
         found, sound = adjust(recording, robust=robust), adjust(without_point(recording, name), robust=robust)
-        (wrong,) = found.wrong
-        assert (wrong.kind, wrong.name, wrong.left_out) == ("point", name, True)
+        (wrong,) = found.rejected_references
+        assert (wrong.kind, wrong.name, wrong.excluded) == ("point", name, True)
         assert float(np.linalg.norm(wrong.error)) == pytest.approx(1e-3 * size, abs=0.1e-3)
         assert found.rejected.sum() == sound.rejected.sum()
         miss, least = (np.sqrt(np.mean((x.state.points - mesh()) ** 2)) for x in (found, sound))
         assert miss < 1.2 * least
-        assert f"the known coordinates of {name} are off by" in doubts(found)[0]
+        assert f"the known coordinates of {name} are off by" in warnings_of(found)[0]
 
 
 def test_two_wrong_control_points_and_a_bad_reading() -> None:
@@ -73,27 +73,27 @@ def test_two_wrong_control_points_and_a_bad_reading() -> None:
     readings = recording.readings.copy()
     readings[17, 0] += 0.2e-3
     found = adjust(recording.with_readings(readings), robust=True)
-    assert sorted(test.name for test in found.wrong) == ["T06", "T20"]
+    assert sorted(test.name for test in found.rejected_references) == ["T06", "T20"]
     assert np.argwhere(found.rejected).tolist() == [[17, 0]]
 
 
 def test_sound_networks_keep_every_known_value() -> None:
     for seed in range(12):
         found = adjust(controlled(100 + seed, stations=3))
-        assert found.wrong == ()
-        normal = [test.drop for test in found.reference_values if test.kind == "point"]
+        assert found.rejected_references == ()
+        normal = [test.chi2_drop for test in found.reference_tests if test.kind == "point"]
         assert 1.0 < np.mean(normal) < 6.5  # chi-square with three degrees of freedom
 
 
 @pytest.mark.long
 def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
-    assert sum(bool(adjust(controlled(1000 + seed, stations=3)).wrong) for seed in range(100)) <= 5
+    assert sum(bool(adjust(controlled(1000 + seed, stations=3)).rejected_references) for seed in range(100)) <= 5
     blamed = 0
     for seed in range(100):
         recording = network(seed=seed, stations=3)[0]
         noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
         points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
-        blamed += any(test.left_out for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axes)
+        blamed += any(test.excluded for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axes)
     assert blamed <= 5
 
 
@@ -146,17 +146,17 @@ def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     recording, _ = network(seed=6, faces=2)
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in recording.stations}
     levelled = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
-    assert adjust(levelled).wrong == ()
+    assert adjust(levelled).rejected_references == ()
     tilted = {**stations, "S3": stations["S3"].model_copy(update={"vertical": (2e-4, 0.0, 1.0)})}
     found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"stations": tilted})))
-    assert [(test.kind, test.name) for test in found.wrong] == [("level", "S3")]
+    assert [(test.kind, test.name) for test in found.rejected_references] == [("level", "S3")]
     heights = dict(recording.setup.targets)
     for name in SIX:
         z = 1e3 * float(mesh()[recording.targets.index(name), 2]) + (1020.0 if name == "T16" else 0.0)
         heights[name] = Target(known_mm=(0.0, 0.0, z), known_axes="z", known_sigma_mm=0.05)
     found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"targets": heights})))
-    assert [(test.kind, test.name, test.axes) for test in found.wrong] == [("point", "T16", "z")]
-    assert found.wrong[0].error[0] == pytest.approx(1.02, abs=1e-3)
+    assert [(test.kind, test.name, test.axes) for test in found.rejected_references] == [("point", "T16", "z")]
+    assert found.rejected_references[0].error[0] == pytest.approx(1.02, abs=1e-3)
 
 
 def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None:
@@ -172,13 +172,13 @@ def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None
         return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
     sound, wrong = adjust(oriented(0.0)), adjust(oriented(60.0))
-    assert sound.wrong == ()
+    assert sound.rejected_references == ()
     assert sound.problem.free.shape[1] == 3
     turned = sound.state.rotation[:, :, 0]
     assert np.abs(wrap(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
-    assert [(test.kind, test.name) for test in wrong.wrong] == [("yaw", "S3")]
-    assert 3600 * np.degrees(wrong.wrong[0].error[0]) == pytest.approx(60.0, abs=6.0)
-    assert "the azimuth zero of S3 is off by" in wrong.wrong[0].sentence
+    assert [(test.kind, test.name) for test in wrong.rejected_references] == [("yaw", "S3")]
+    assert 3600 * np.degrees(wrong.rejected_references[0].error[0]) == pytest.approx(60.0, abs=6.0)
+    assert "the azimuth zero of S3 is off by" in wrong.rejected_references[0].sentence
 
 
 def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> None:
@@ -186,10 +186,10 @@ def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> Non
     for name in ("T12", "T16", "T20", "T25"):
         recording = without_point(recording, name)
     found = adjust(recording)
-    (test,) = found.wrong
-    assert {test.name, *test.rivals} == {"T01", "T06"}
-    assert not test.left_out
-    assert "nobody can tell which is wrong" in doubts(found)[0]
+    (test,) = found.rejected_references
+    assert {test.name, *test.indistinguishable_from} == {"T01", "T06"}
+    assert not test.excluded
+    assert "nobody can tell which is wrong" in warnings_of(found)[0]
 
 
 def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) -> Recording:
@@ -207,8 +207,8 @@ def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> Non
     """Each contradicts the ranges and the other one: both are reported, and no effect is made of them."""
     recording, truth = network(seed=2, faces=2)
     found = adjust(with_two_lengths(recording, wrong, -wrong))
-    (test,) = found.wrong
-    assert (test.kind, test.left_out, len(test.rivals)) == ("length", False, 1)
+    (test,) = found.rejected_references
+    assert (test.kind, test.excluded, len(test.indistinguishable_from)) == ("length", False, 1)
     told = lt.diagnose(with_two_lengths(recording, wrong, -wrong))
     assert [finding.carrier for finding in told.findings] == ["reference length"] * 2
     rotation, shift = align(told.targets.points, truth.state.points)
@@ -217,7 +217,9 @@ def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> Non
 
 
 def test_two_lengths_that_are_right_contradict_nothing() -> None:
-    assert all(adjust(with_two_lengths(network(seed=k, faces=2)[0], 0.0, 0.0)).wrong == () for k in range(5))
+    assert all(
+        adjust(with_two_lengths(network(seed=k, faces=2)[0], 0.0, 0.0)).rejected_references == () for k in range(5)
+    )
 
 
 def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
@@ -240,7 +242,7 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
         points[name] = points[name] + 1e-3 * size * np.array([0.48, -0.6, 0.64])
         found = adjust(in_axes_of_points(recording, points, "hall.csv"))
-        assert [test.name for test in found.axes if test.left_out] == [name]
+        assert [test.name for test in found.axes if test.excluded] == [name]
         rest = {n: place for n, place in points.items() if n != name}
         sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
         np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)
@@ -261,8 +263,8 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     file = tmp_path / "control.csv"
     file.write_text("\n".join(lines))
     found = adjust(with_control(recording, file))
-    assert [test.name for test in found.wrong] == ["T20"]
-    assert {test.name: test.axes for test in found.reference_values}["T02"] == "z"
+    assert [test.name for test in found.rejected_references] == ["T20"]
+    assert {test.name: test.axes for test in found.reference_tests}["T02"] == "z"
     assert "frame of the control points" in lt.adjust(with_control(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
     with pytest.raises(RecordError, match="states no standard deviation of T01"):

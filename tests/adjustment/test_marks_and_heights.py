@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.gross import mistakes
+from ltsim.adjustment.quality import warnings_of
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.physics.model.construction import ideal
@@ -33,13 +33,13 @@ def two_days(beside: float, seed: int = 1, along: tuple[float, ...] = (0.8, 0.6,
 
 def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
     for seed in range(5):
-        assert adjust(two_days(0.0, seed)).wrong == ()
+        assert adjust(two_days(0.0, seed)).rejected_references == ()
     found = adjust(two_days(1.5e-3))
-    (wrong,) = found.wrong
+    (wrong,) = found.rejected_references
     assert wrong.kind == "mark"
-    assert (wrong.name, wrong.rivals, wrong.left_out) == ("S4", ("S1",), True)
+    assert (wrong.name, wrong.rivals, wrong.excluded) == ("S4", ("S1",), True)
     assert np.linalg.norm(wrong.error) == pytest.approx(1.5e-3, abs=0.05e-3)
-    assert "stands 1.50" in doubts(found)[0] or "stands 1.49" in doubts(found)[0]
+    assert "stands 1.50" in warnings_of(found)[0] or "stands 1.49" in warnings_of(found)[0]
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
 
 
@@ -47,7 +47,7 @@ def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
 def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(height: float) -> None:
     recording = two_days(height, along=(0.0, 0.0, 1.0))
     found = adjust(recording)
-    (wrong,) = found.wrong
+    (wrong,) = found.rejected_references
     assert (wrong.kind, wrong.name, wrong.is_height) == ("mark", "S4", True)
     assert wrong.error[2] == pytest.approx(-height, abs=5.0 * wrong.sigma_error[2])
     cause = ("above", "low") if height > 0 else ("below", "high")
@@ -68,7 +68,7 @@ def test_a_height_over_a_known_mark_that_nothing_else_shows_may_be_either(height
     marks["M2"] = Target(known_mm=tuple(1e3 * (truth.state.position[2] - [0.0, 0.0, height])))
     setup = recording.setup.model_copy(update={"stations": over, "targets": recording.setup.targets | marks})
     found = adjust(recording.replace(setup=setup))
-    (wrong,) = found.wrong
+    (wrong,) = found.rejected_references
     assert (wrong.kind, wrong.name) == ("point", "M2")
     assert wrong.sentence.endswith("or the height of set-up S3 over it: left out")
 
@@ -80,7 +80,7 @@ def test_a_height_that_was_not_stated_is_told_with_its_size(height: float) -> No
     raised = from_polar(readings[[30]]) + [0.0, 0.0, height]
     readings[30] = to_polar(raised)[0]
     found = adjust(recording.with_readings(readings))
-    ((told, mended, _),) = mistakes(found)
+    ((told, mended, _),) = detect_blunders(found)
     assert told.rows.tolist() == [30]
     assert told.size == pytest.approx(abs(height), abs=0.05e-3)
     assert f"{1e3 * abs(height):.0f}." in told.sentence
@@ -93,14 +93,17 @@ def test_a_point_under_another_name_is_no_exchange() -> None:
     target = recording.target.copy()
     booked, meant = (recording.targets[t] for t in ((target[12] + 5) % 28, target[12]))
     target[12] = (target[12] + 5) % 28
-    (said,) = doubts(adjust(recording.replace(target=target)))
+    (said,) = warnings_of(adjust(recording.replace(target=target)))
     assert said.startswith(f"At station S1 what is booked as {booked} (row 13) is {meant}")
 
 
 def test_a_target_that_one_set_up_calls_otherwise_is_told_and_neighbours_are_not() -> None:
     recording, _ = network(seed=3, stations=3)
     other = np.where((recording.station == 1) & (recording.target == 5), len(recording.targets), recording.target)
-    (said,) = doubts(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
+    (said,) = warnings_of(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
     assert said.startswith(f"{recording.targets[5]} and P-77 lie within 0.0")
     beside = recording.readings + [[0.002, 0.0, 0.0]] * (other == len(recording.targets))[:, None]
-    assert doubts(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other, readings=beside))) == ()
+    assert (
+        warnings_of(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other, readings=beside)))
+        == ()
+    )

@@ -7,8 +7,8 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.centring import centring_errors, correct_centring
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.occupations import mend_tripods, moved_tripods
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings import Recording
@@ -64,16 +64,16 @@ def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), sp
 
 @pytest.mark.parametrize("spire", [1.0, 10.0])
 def test_no_tripod_of_a_sound_network_is_named(spire: float) -> None:
-    assert [moved_tripods(adjust(local_tie(seed, spire=spire))) for seed in range(12)] == [None] * 12
+    assert [centring_errors(adjust(local_tie(seed, spire=spire))) for seed in range(12)] == [None] * 12
 
 
 @pytest.mark.parametrize("spire", [1.0, 30.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int, spire: float) -> None:
     found = adjust(local_tie(seed, (1.5, 1.0, 0.0), spire))
-    moved = moved_tripods(found)
+    moved = centring_errors(found)
     assert moved is not None
-    assert [(one.mark, one.role, one.day) for one in moved.found] == [("P4", "target", DAYS[1])]
+    assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("P4", "target", DAYS[1])]
     turned = found.state.points[1, :2] / np.linalg.norm(PILLARS[1, :2])
     across = np.array([-turned[1], turned[0]])
     east = PILLARS[1, :2] / np.linalg.norm(PILLARS[1, :2])
@@ -88,9 +88,9 @@ def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed:
 
 def found_sentence(found: object) -> str:
     """The doubts of an adjustment in one text."""
-    from ltsim.adjustment.doubt import doubts
+    from ltsim.adjustment.quality import warnings_of
 
-    return " ".join(doubts(found))  # type: ignore[arg-type]
+    return " ".join(warnings_of(found))  # type: ignore[arg-type]
 
 
 def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None:
@@ -101,15 +101,15 @@ def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None
     plan = SPIRE[:2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
     assert np.all(np.abs(spire[:2] - 1e3 * plan) < 5 * spire[3:5])
     assert np.isnan(spire[[2, 5]]).all()
-    assert not calibration.lost_targets
+    assert not calibration.undetermined_targets
     assert "in plan alone, as no reading tells their height: SPIRE" in calibration.notes
 
 
 def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() -> None:
     found = adjust(local_tie(2, (1.5, 1.0, 0.0)))
-    mended, (told,) = mend_tripods(found)
+    mended, (told,) = correct_centring(found)
     assert (told.effect, told.targets) == ("target-moved", ("P4",))
     assert told.size == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.sigma)
     again = adjust(mended, start=found.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)
-    assert moved_tripods(again) is None
+    assert centring_errors(again) is None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.occupations import moved_tripods
+from ltsim.adjustment.centring import centring_errors
 from ltsim.recordings import read
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,16 +56,16 @@ def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
 
 def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directions_see():
     found = adjust(read(DATA / "field" / "wark_control.csv"))
-    moved = moved_tripods(found)
+    moved = centring_errors(found)
     assert moved is not None
-    assert [(one.mark, one.role, one.day) for one in moved.found] == [("WAN3", "target", "2015-03-16")]
+    assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("WAN3", "target", "2015-03-16")]
     turn = np.radians(156.5)  # azimuth of the network's x axis, WAN3 to WANE
     axes = np.array([[np.sin(turn), np.cos(turn)], [-np.cos(turn), np.sin(turn)]])
     spread = np.sqrt(np.diag(axes.T @ moved.covariance[0] @ axes))
     assert np.all(np.abs(moved.values[0] @ axes - [1.5e-3, 1.0e-3]) < 2.0 * spread)
     assert spread.max() < 0.3e-3
     assert moved.noisy == ("WARK",)
-    assert not found.lost_targets
+    assert not found.undetermined_targets
     assert np.flatnonzero(found.open_heights).tolist() == [found.recording.targets.index("WARK")]
     without = found.recording.select(found.recording.target != found.recording.targets.index("WARK"))
     marks = adjust(without)

@@ -24,7 +24,7 @@ def refitted(
     recording = with_effect(effect, values, noise=noise)
     start = adjust(recording, misalignment()).state
     found = refit(partial(adjusted, recording, misalignment()), [guess], start=start)
-    return found.adjustment, {one.parameter.name: one for one in found.told[0]}
+    return found.adjustment, {one.parameter.name: one for one in found.estimates[0]}
 
 
 def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
@@ -53,7 +53,7 @@ def test_the_shortest_waves_are_known_in_frequency_as_well_as_long_ones() -> Non
         guess = [true.reshaped(wavelength=length * (1 + off))]
         found = refit(start.with_effects, guess, start=start.state)
         assert found.adjustment.chi2 < 0.1
-        *_, wavelength = found.told[0]
+        *_, wavelength = found.estimates[0]
         assert wavelength.value == pytest.approx(length, rel=1e-5)
         frequency.append(wavelength.sigma / length**2)
     assert frequency[0] == pytest.approx(frequency[1], rel=0.3)
@@ -65,10 +65,10 @@ def test_constants_that_stay_are_not_told_and_the_noise_found_is_kept() -> None:
     start = adjust(recording, misalignment(), effects=[true], variance_components="observable")
     found = refit(start.with_effects, [true], start=start.state, fixed=[{"time_constant"}])
     assert found.effects == (true,) and found.adjustment.chi2 == pytest.approx(start.chi2)
-    assert [one.parameter for one in found.told[0]] == list(true.parameters)
-    assert [one.value for one in found.told[0]] == pytest.approx(start.state.extra, rel=1e-6)
+    assert [one.parameter for one in found.estimates[0]] == list(true.parameters)
+    assert [one.value for one in found.estimates[0]] == pytest.approx(start.state.extra, rel=1e-6)
     sigma = start.extra_covariance.diagonal() ** 0.5
-    assert [one.sigma for one in found.told[0]] == pytest.approx(sigma, rel=1e-6)
+    assert [one.sigma for one in found.estimates[0]] == pytest.approx(sigma, rel=1e-6)
 
 
 def test_constants_at_which_the_network_does_not_settle_are_not_taken() -> None:

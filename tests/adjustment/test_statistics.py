@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.reliability import FAMILY_LEVEL, chance_of_tau, critical_w, noncentrality
+from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w, noncentrality, p_value_of_tau
 from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment
@@ -36,19 +36,19 @@ def spoiled(recording, where, sizes):
 def test_tau_limit_is_that_of_pope():
     # t(9, 2.5 %) = 2.2622: tau = sqrt(10) t / sqrt(9 + t^2).
     tau, dof = np.array([1.90391, stats.norm.isf(0.025)]), np.array([10.0, 100_000.0])
-    assert chance_of_tau(tau, dof, 1) == pytest.approx([0.05, 0.05], rel=1e-4)
+    assert p_value_of_tau(tau, dof, 1) == pytest.approx([0.05, 0.05], rel=1e-4)
 
 
 def test_the_chance_at_a_limit_is_its_level():
     limit = np.full(2, critical_w(50))
-    by_data, by_statement = chance_of_tau(limit, np.array([20.0, np.inf]), 50)
+    by_data, by_statement = p_value_of_tau(limit, np.array([20.0, np.inf]), 50)
     assert by_statement == pytest.approx(0.01, rel=1e-6)
     assert by_data < by_statement
-    assert chance_of_tau(np.array([3.0]), np.array([1.0]), 50) == 1.0
+    assert p_value_of_tau(np.array([3.0]), np.array([1.0]), 50) == 1.0
 
 
 def test_each_restless_target_is_judged_by_its_own_noise():
-    rng, times = stream(4, "restless"), 40
+    rng, times = stream(4, "noisy_targets"), 40
     target = np.repeat(np.arange(4), times)
     scatter = np.array([1.0, 1.0, 8.0, 40.0])[target][:, None] * rng.standard_normal((len(target), 3))
     place = np.array([[3.0, 0.0, 0.1], [3.0, 1.5, 0.2], [3.0, 3.0, -0.1], [3.0, 4.5, 0.0]])[target]
@@ -56,7 +56,7 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     recording = Recording(Setup(), ("S",), ("A", "B", "C", "D"), zero, target, zero + 1, rows, rows * 1.0, place)
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
     found = adjust(recording.with_readings(place + scatter * recording.sigma()))
-    assert found.restless[0].tolist() == [3, 2]
+    assert found.noisy_targets[0].tolist() == [3, 2]
     assert [(one.row, one.observable) for one in found.outliers(estimated=True)] == [(2 * times + 5, 1)]
     assert found.outliers(estimated=True)[0].p_value < 1e-3
 
@@ -76,7 +76,7 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
     for seed in range(40):
         found = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
         tau = found.w[np.nan_to_num(found.redundancy) > 0.2] / found.sigma0
-        over += int(np.sum(chance_of_tau(np.abs(tau), np.full(len(tau), float(found.dof)), 1) < 0.05))
+        over += int(np.sum(p_value_of_tau(np.abs(tau), np.full(len(tau), float(found.dof)), 1) < 0.05))
         count += len(tau)
     assert over / count == pytest.approx(0.05, abs=0.015)
 

@@ -138,7 +138,7 @@ def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(kno
     assert found.adjustment is not None
     held = held_out_targets(found.adjustment)[0]
     target = int(
-        np.flatnonzero(found.adjustment.problem.unknowns.target[:, 0] >= found.adjustment.problem.unknowns.kept)[0]
+        np.flatnonzero(found.adjustment.problem.unknowns.target[:, 0] >= found.adjustment.problem.unknowns.n_reduced)[0]
     )
     others = recording.select(recording.target != target)
     without = calibrate_network(others, BUILT, advise=False)

@@ -10,7 +10,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.snooping import screened
+from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.correct import correct
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.files import calibration_file, write_calibration
@@ -109,17 +109,17 @@ def test_a_target_without_a_place_is_named_and_has_no_coordinates(make, tmp_path
     readings[rows[0], 1] = np.nan
     readings[rows[1]] = np.nan
     found = calibrate_network(recording.with_readings(readings), advise=False)
-    assert found.lost_targets == ("T08",)
+    assert found.undetermined_targets == ("T08",)
     advised = calibrate_network(recording.with_readings(readings))
     assert np.allclose(advised.values, found.values)
     assert all(c.cure for c in advised.undetermined)
     by_distance = calibrate_distance(recording.with_readings(readings))
-    assert by_distance.lost_targets == ("T08",)
-    assert not screened(recording.with_readings(readings)).gross.any()
+    assert by_distance.undetermined_targets == ("T08",)
+    assert not screen_gross_errors(recording.with_readings(readings)).gross.any()
     with pytest.raises(NetworkError, match=r"lacks a range or an angle .* nothing ties target T08 to it"):
         correct(recording.with_readings(readings), found)
     write_calibration(found, tmp_path)
-    assert json.loads((tmp_path / "calibration.json").read_text())["lost_targets"] == ["T08"]
+    assert json.loads((tmp_path / "calibration.json").read_text())["undetermined_targets"] == ["T08"]
     table = (tmp_path / "targets.csv").read_text().splitlines()
     assert len(table) == len(recording.targets)
     assert not any(line.startswith("T08") for line in table)
@@ -204,5 +204,5 @@ def test_desy_noise_and_the_nest_that_moved(shared: Path) -> None:
     assert noise["distance"].factor < 0.6
     assert noise["azimuth"].typical == pytest.approx(0.41, abs=0.08)
     assert noise["elevation"].typical == pytest.approx(0.56, abs=0.08)
-    assert "K6" in found.lost_targets  # its two faces differ by 32 um in range, and nothing else measured it
+    assert "K6" in found.undetermined_targets  # its two faces differ by 32 um in range, and nothing else measured it
     assert {(81, "distance"), (82, "distance")} <= {(o.row, o.observable) for o in found.outliers if o.excluded}

@@ -180,7 +180,7 @@ def test_nothing_without_a_size_is_told_beside_something_else():
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
     found = case.searcher.with_members(members)
     explained = Explained(case, detect(case.searcher, case.bank), found, case.refit(found.effects, case.sigma))
-    (told,) = (one for one in explained.refit.told[0] if one.parameter.name == "plume-temperature")
+    (told,) = (one for one in explained.refit.estimates[0] if one.parameter.name == "plume-temperature")
     assert abs(told.value) < 2.0 * told.sigma
     assert explained.chance(0) == 0.0
 

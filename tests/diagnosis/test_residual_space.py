@@ -38,7 +38,7 @@ def test_the_drop_of_chi2_is_that_of_a_refit(space):
 
 def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
     first, second = law("elevation", simple("time", "power")), law("elevation", simple("distance", "power", 2.0))
-    extended = space.extended(space.signature(first))
+    extended = space.augmented(space.signature(first))
     signature = space.signature(second)
     columns = orthonormal(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment(), effects=[first])

@@ -103,7 +103,7 @@ class BenchFile(ResultFile, Result):
         worst = max(self.angles, key=lambda row: abs(row.error_um))
         size = with_sigma(worst.error_um, worst.sigma_um, "um")
         off = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
-        said = [
+        lines = [
             f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
             f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
             f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
@@ -111,11 +111,11 @@ class BenchFile(ResultFile, Result):
         ]
         if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
-            said.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
+            lines.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
         for key, form in (("angle_deg", "g"), ("error_um", ".2f"), ("sigma_um", ".2f")):
             values = ", ".join(format(getattr(row, key), form) for row in self.angles)
-            said.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")
-        return said
+            lines.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")
+        return lines
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"angles": lambda: ANGLES.filled(self.angles)}
@@ -182,10 +182,10 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
             raise RecordError(f"holds {what} at {different} angles, expected {fewest} or more", file=path)
-    seen, probed = np.isfinite(length), np.isfinite(probe)
+    measured, probed = np.isfinite(length), np.isfinite(probe)
     return BenchRecord(
-        angles=angle[seen] * DEGREE,
-        lengths=length[seen] * MICROMETRE,
+        angles=angle[measured] * DEGREE,
+        lengths=length[measured] * MICROMETRE,
         probe_angles=angle[probed] * DEGREE,
         probe_direction=probe_direction,
         displacements=probe[probed] * MICROMETRE,
@@ -200,31 +200,31 @@ def evaluate_bench(record: BenchRecord) -> BenchResult:
     """
     turned = record.probe_angles - record.probe_direction
     design = np.stack([np.ones_like(turned), np.cos(turned), -np.sin(turned)], axis=1)
-    found = np.linalg.lstsq(design, record.displacements, rcond=None)[0]
-    left = record.displacements - design @ found
-    variance = float(left @ left) / max(len(turned) - 3, 1)
+    estimate = np.linalg.lstsq(design, record.displacements, rcond=None)[0]
+    residual = record.displacements - design @ estimate
+    variance = float(residual @ residual) / max(len(turned) - 3, 1)
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
     middle = int(np.argmin(np.abs(record.angles)))
     uncorrected = record.lengths - record.lengths[middle]
     change = along_beam(record.angles) - along_beam(record.angles)[middle]
-    own = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
+    length_variance = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
     return BenchResult(
-        eccentricity=found[1:],
+        eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
         run_out=float(np.ptp(record.displacements)),
         uncorrected=uncorrected,
-        table=uncorrected - change @ found[1:],
-        sigma=np.sqrt(own + np.einsum("ai,ij,aj->a", change, covariance, change)),
+        table=uncorrected - change @ estimate[1:],
+        sigma=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),
     )
 
 
 def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
     """Explain a table (a,) [m] at `angles` by an offset of the vertex; `sigma` [m] of one entry."""
     design = np.concatenate([np.ones((len(angles), 1)), along_beam(angles)], axis=1)
-    found = np.linalg.lstsq(design, table, rcond=None)[0]
+    estimate = np.linalg.lstsq(design, table, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    remainder = float(np.sqrt(np.mean((table - design @ found) ** 2)))
-    return Vertex(float(found[1]), float(found[2]), float(spread[1]), float(spread[2]), remainder)
+    remainder = float(np.sqrt(np.mean((table - design @ estimate) ** 2)))
+    return Vertex(float(estimate[1]), float(estimate[2]), float(spread[1]), float(spread[2]), remainder)
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
@@ -256,18 +256,18 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     """
     how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
     record = read_bench(Path(source), **how)
-    found = evaluate_bench(record)
-    vertex = as_vertex(record.angles, found.table, float(found.sigma.max()))
-    off = np.sqrt(np.diag(found.eccentricity_covariance))
+    result = evaluate_bench(record)
+    vertex = as_vertex(record.angles, result.table, float(result.sigma.max()))
+    off = np.sqrt(np.diag(result.eccentricity_covariance))
 
     def entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
 
-    columns = zip(found.uncorrected / MICROMETRE, found.table / MICROMETRE, found.sigma / MICROMETRE, strict=True)
+    columns = zip(result.uncorrected / MICROMETRE, result.table / MICROMETRE, result.sigma / MICROMETRE, strict=True)
     return BenchFile(
-        eccentricity_forward=entry(found.eccentricity[0], off[0]),
-        eccentricity_side=entry(found.eccentricity[1], off[1]),
-        run_out_um=found.run_out / MICROMETRE,
+        eccentricity_forward=entry(result.eccentricity[0], off[0]),
+        eccentricity_side=entry(result.eccentricity[1], off[1]),
+        run_out_um=result.run_out / MICROMETRE,
         table=tuple(
             BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)
             for angle, (read, error, sigma) in zip(record.angles / DEGREE, columns, strict=True)

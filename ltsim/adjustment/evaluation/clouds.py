@@ -67,15 +67,15 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
     """
     placed = np.full_like(clouds, np.nan)
     placed[0] = clouds[0]
-    seen = np.isfinite(clouds[:, :, 0])
-    total, count = np.where(seen[0][:, None], clouds[0], 0.0), seen[0].astype(np.int64)
-    direct, known = seen @ seen[0].astype(np.int64), seen @ seen[0].astype(np.int64)
+    measured = np.isfinite(clouds[:, :, 0])
+    total, count = np.where(measured[0][:, None], clouds[0], 0.0), measured[0].astype(np.int64)
+    direct, shared = measured @ measured[0].astype(np.int64), measured @ measured[0].astype(np.int64)
     waiting = np.arange(len(clouds)) > 0
     while waiting.any():
         station = int(np.argmax(np.where(waiting, direct, -1)))
         goal = clouds[0]
         if direct[station] < 3:
-            station = int(np.argmax(np.where(waiting, known, -1)))
+            station = int(np.argmax(np.where(waiting, shared, -1)))
             goal = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
         waiting[station] = False
         try:
@@ -83,10 +83,10 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
         except NetworkError as problem:
             message = f"station {names[station]} cannot be joined to the others: {problem}"
             raise NetworkError(message) from None
-        new = seen[station] & (count == 0)
-        known += seen[:, new].sum(axis=1)
-        total[seen[station]] += placed[station, seen[station]]
-        count += seen[station]
+        new = measured[station] & (count == 0)
+        shared += measured[:, new].sum(axis=1)
+        total[measured[station]] += placed[station, measured[station]]
+        count += measured[station]
     return placed
 
 

@@ -116,15 +116,15 @@ class Criteria(Result):
 
     def _rows(self) -> Iterator[list[Any]]:
         named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
-        for name, found in {**named, "coordinate": self.coordinate}.items():
-            if found is not None:
-                sides = found.before.sizes, (None, None) if found.after is None else found.after.sizes
-                yield [name, *sides[0], *sides[1], found.improvement_percent]
+        for name, improvement in {**named, "coordinate": self.coordinate}.items():
+            if improvement is not None:
+                sides = improvement.before.sizes, (None, None) if improvement.after is None else improvement.after.sizes
+                yield [name, *sides[0], *sides[1], improvement.improvement_percent]
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""
         named = {"distance": self.distance, "coordinate": self.coordinate, "distance_to_first": self.distance_to_first}
-        return {name: found.as_json() for name, found in named.items() if found is not None}
+        return {name: improvement.as_json() for name, improvement in named.items() if improvement is not None}
 
 
 class SpreadEntry(Entry):
@@ -167,10 +167,10 @@ def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Flo
     `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen. Pairs that fewer than the least number of
     observers see are left out: memory follows what is seen, not all pairs.
     """
-    seen = np.isfinite(clouds[:, :, 0])
+    measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
-        observers = np.flatnonzero(seen[:, point])
-        others = point + 1 + np.flatnonzero(seen[observers, point + 1 :].sum(axis=0) >= least)
+        observers = np.flatnonzero(measured[:, point])
+        others = point + 1 + np.flatnonzero(measured[observers, point + 1 :].sum(axis=0) >= least)
         yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
 
 
@@ -181,15 +181,15 @@ def distance_differences(clouds: Floats) -> Differences:
     are left out.
     """
     lengths = (length for _, length in lengths_of_pairs(clouds, 2))
-    found = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
-    return Differences(np.concatenate([np.zeros(0), *found]))
+    means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
+    return Differences(np.concatenate([np.zeros(0), *means]))
 
 
 def distance_differences_to_first(clouds: Floats) -> Differences:
     """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
     lengths = (length for _, length in lengths_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
-    found = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
-    return Differences(np.concatenate([np.zeros(0), *found]))
+    means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
+    return Differences(np.concatenate([np.zeros(0), *means]))
 
 
 def coordinate_differences(placed: Floats) -> Differences:
@@ -238,10 +238,10 @@ def evaluate(
         def of(clouds: Floats) -> Differences:
             return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
 
-        found = Improvement(of(before), None if after is None else of(after))
-        if not len(found.before.values):
+        improvement = Improvement(of(before), None if after is None else of(after))
+        if not len(improvement.before.values):
             raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
-        return found
+        return improvement
 
     return Criteria(
         distance=compare(distance_differences, aligned=False),
@@ -252,10 +252,10 @@ def evaluate(
 
 def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
     """Eq. 11; None where no other station shares a pair of targets with the first."""
-    found = distance_differences_to_first(before)
-    if not len(found.values):
+    differences = distance_differences_to_first(before)
+    if not len(differences.values):
         return None
-    return Improvement(found, None if after is None else distance_differences_to_first(after))
+    return Improvement(differences, None if after is None else distance_differences_to_first(after))
 
 
 NOMINAL = Table(
@@ -267,11 +267,11 @@ NOMINAL = Table(
 
 def read_nominal(path: Path) -> dict[str, Floats]:
     """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
-    found = read_points(path)
-    for line, place in zip(found.lines, found.points, strict=True):
+    points = read_points(path)
+    for line, place in zip(points.lines, points.points, strict=True):
         if not np.isfinite(place).all():
             raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
-    return found.by_name
+    return points.by_name
 
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
@@ -298,16 +298,16 @@ def verify(
     """
     missing = np.full(3, np.nan)
     goal = np.stack([nominal.get(name, missing) for name in recording.targets])
-    known = np.isfinite(goal[:, 0])
-    if int(known.sum()) < 3:
+    has_nominal = np.isfinite(goal[:, 0])
+    if int(has_nominal.sum()) < 3:
         raise NetworkError(
-            f"only {int(known.sum())} targets of the recording have nominal points; at least three are needed"
+            f"only {int(has_nominal.sum())} targets of the recording have nominal points; at least three are needed"
         )
 
     def of(points: Floats) -> tuple[Differences, Differences]:
-        clouds = station_means(recording, points)[:, known]
+        clouds = station_means(recording, points)[:, has_nominal]
         try:
-            return distance_errors(clouds, goal[known]), coordinate_errors(clouds, goal[known])
+            return distance_errors(clouds, goal[has_nominal]), coordinate_errors(clouds, goal[has_nominal])
         except NetworkError as problem:
             raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
 

@@ -50,12 +50,12 @@ class TwoFace:
 def face_pairs(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
     whole = np.all(recording.measured, axis=1)
-    seen: dict[tuple[int, int, int], dict[int, int]] = {}
+    rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
     for row, key in enumerate(keys):
         if whole[row]:
-            seen.setdefault(key, {})[int(recording.face[row])] = row
-    pairs = [(faces[1], faces[2]) for faces in seen.values() if len(faces) == 2]
+            rows_by_key.setdefault(key, {})[int(recording.face[row])] = row
+    pairs = [(faces[1], faces[2]) for faces in rows_by_key.values() if len(faces) == 2]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.blunders import apply_corrections, detect_blunders
 from ltsim.adjustment.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, item_of, two_sided
-from ltsim.adjustment.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
+from ltsim.adjustment.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_target_noise
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
 from ltsim.adjustment.fieldcheck.words import (
     bump_sentence,
@@ -25,11 +26,10 @@ from ltsim.adjustment.fieldcheck.words import (
     instrument_sentence,
     target_sentence,
 )
-from ltsim.adjustment.gross import mended, mistakes
 from ltsim.adjustment.identification import Test, identified, outcomes
-from ltsim.adjustment.moving import WITNESSES, EvenMotion, by_runs
-from ltsim.adjustment.reliability import surprise
+from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.singular import refusing_singular
+from ltsim.adjustment.station_motions import WITNESSES, EvenMotion, by_runs
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Columns, Result
@@ -52,7 +52,7 @@ TESTS = 6
 
 
 Words = Callable[[Recording, ColumnsFit, bool], str]
-OWN_DOF = 6.0
+MIN_TARGET_DOF = 6.0
 """Degrees of freedom from which a target shows a scatter of its own."""
 
 
@@ -158,18 +158,18 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
         plain = plain_network(corrected, motions)
         read, shown, scattering = corrected, corrected, tuple[Item, ...]()
         if isinstance(plain, Adjustment):
-            shown, scattering = with_own_noise(corrected, plain)
-            read = mended(shown, mistakes(plain))
+            shown, scattering = with_target_noise(corrected, plain)
+            read = apply_corrections(shown, detect_blunders(plain))
         if read is not corrected:  # a set-up is not blamed for what has a name
             setups = tuple(_set_up(read, read, s, family, mpe) for s in every)
         shared = Family(level, 2 * NETWORK_TESTS)
-        together = items_of_network(shown, plain, shared, motions, own_noise=shown is not corrected)
+        together = items_of_network(shown, plain, shared, motions, with_target_noise=shown is not corrected)
         network = (*scattering, *together)
-    found = Check(whole, setups, network, level, causes)
-    if not found.items:
+    result = Check(whole, setups, network, level, causes)
+    if not result.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
-    return found
+    return result
 
 
 def check_file(check: Check) -> CheckFile:
@@ -217,12 +217,12 @@ def _set_up(
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = declared_construction(recording)
     visit = StationOccupation.of(recording, construction)
-    judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
-    two_faced, motionless = paired.select(at), judged.still.readings
+    judged = _test_setup(visit, construction, family, rows) if visit.dof > 0 else SetUpTests((), visit, (), recording)
+    two_faced, motionless = paired.select(at), judged.motion_corrected.readings
     motionless = np.where(np.isnan(motionless), two_faced.readings, motionless)
     items, faces = (
         list[Item](),
-        Faces.of(two_faced, two_faced.with_readings(motionless), construction, family.share, mpe),
+        Faces.of(two_faced, two_faced.with_readings(motionless), construction, family.alpha_per_test, mpe),
     )
     if faces is not None:
         limit = "noise and guarantee" if mpe is None else "the limit"
@@ -231,62 +231,62 @@ def _set_up(
         items.append(Item.of(name, "two-face", not targets, sentence, targets=targets, rows=pair))
     if visit.dof < 1:
         return SetUp(name, tuple(items), faces, None, rows)
-    left, scale = judged.left, _own_scatter(judged.left, family)
+    remaining, scale = judged.remaining, _scatter_by_target(judged.remaining, family)
     if scale is None:
-        items += [*judged.items, _closure(left, family)]
+        items += [*judged.items, _closure(remaining, family)]
     else:
-        judged = _judged(
+        judged = _test_setup(
             StationOccupation.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows
         )
-        items += [_scattering(visit, left, family), *judged.items]
-    return SetUp(name, tuple(items), faces, left, rows, judged.motions)
+        items += [_scattering(visit, remaining, family), *judged.items]
+    return SetUp(name, tuple(items), faces, remaining, rows, judged.motions)
 
 
 @dataclass(frozen=True)
-class _Judged:
+class SetUpTests:
     """Items on pointings and motions of an occupation, the occupation without these, readings without motions."""
 
     items: tuple[Item, ...]
-    left: StationOccupation
+    remaining: StationOccupation
     motions: tuple[StationMotion, ...]
-    still: Recording
+    motion_corrected: Recording
 
 
-def _judged(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> _Judged:
+def _test_setup(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> SetUpTests:
     gross, bump, visit = _events(visit, construction, family)
     items = [_of_gross(visit, gross, rows, family), _of_bump(visit, bump, rows, family)]
     recording, even = visit.recording, EvenMotion((visit.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
-    found = [motion.design(visit.sightings) for motion in motions]
-    left = reduce(StationOccupation.without, found, visit)
+    designs = [motion.design(visit.sightings) for motion in motions]
+    remaining = reduce(StationOccupation.without, designs, visit)
     creep, zeros = even.design(visit.sightings), _zeros(visit)
-    items.append(_drift(left, family, "drift", creep, drift_sentence))
+    items.append(_drift(remaining, family, "drift", creep, drift_sentence))
     if not items[-1].passed:
         motions.append(even)
-        found, left = [*found, creep], left.without(creep)
-    items.append(_drift(left, family, "instrument-drift", zeros, instrument_sentence))
+        designs, remaining = [*designs, creep], remaining.without(creep)
+    items.append(_drift(remaining, family, "instrument-drift", zeros, instrument_sentence))
     if not items[-1].passed:
-        found, left = [*found, zeros], left.without(zeros)
-    if found:
-        together = np.concatenate(found, axis=2)
+        designs, remaining = [*designs, zeros], remaining.without(zeros)
+    if designs:
+        together = np.concatenate(designs, axis=2)
         recording = recording.with_readings(recording.readings - together @ visit.explained(together).values)
-    return _Judged(tuple(items), left, tuple(motions), recording)
+    return SetUpTests(tuple(items), remaining, tuple(motions), recording)
 
 
-def _own_scatter(visit: StationOccupation, family: Family) -> Floats | None:
+def _scatter_by_target(visit: StationOccupation, family: Family) -> Floats | None:
     """Scatter (n, 1) of each pointing's target over the stated noise, where targets scatter differently (Bartlett)."""
     chi2, dof = visit.scatter()
-    told = dof >= OWN_DOF
-    variance, own = chi2[told] / np.maximum(dof[told], 1.0), dof[told]
-    if told.sum() < 2 or not variance.min() > 0.0:
+    is_testable = dof >= MIN_TARGET_DOF
+    variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
+    if is_testable.sum() < 2 or not variance.min() > 0.0:
         return None
-    pooled = float(own @ variance / own.sum())
-    gain = own.sum() * np.log(pooled) - own @ np.log(variance)
-    gain /= 1.0 + (np.sum(1.0 / own) - 1.0 / own.sum()) / (3.0 * (len(own) - 1.0))
-    if not special.chdtrc(len(own) - 1.0, gain) < family.share:
+    pooled = float(dof_of_target @ variance / dof_of_target.sum())
+    gain = dof_of_target.sum() * np.log(pooled) - dof_of_target @ np.log(variance)
+    gain /= 1.0 + (np.sum(1.0 / dof_of_target) - 1.0 / dof_of_target.sum()) / (3.0 * (len(dof_of_target) - 1.0))
+    if not special.chdtrc(len(dof_of_target) - 1.0, gain) < family.alpha_per_test:
         return None
     ratio = np.full(len(dof), np.sqrt(pooled))
-    ratio[told] = np.sqrt(variance)
+    ratio[is_testable] = np.sqrt(variance)
     return np.asarray(np.maximum(ratio, 1.0)[visit.recording.target][:, None])
 
 
@@ -298,14 +298,14 @@ def _events(
     most = max(1, MOST_GROSS * len(visit.use))
     while True:
         drop, rank = visit.of_pointings()
-        alone = surprise(drop, rank) - np.log(len(visit.use))
+        alone = neg_log_p_chi2(drop, rank) - np.log(len(visit.use))
         worst = int(np.argmax(alone))
         bump, explained, gaps = best_bump(visit)
-        creep = _surprise(visit.explained(EvenMotion().design(visit.sightings)))
-        steady = creep >= _surprise(explained) - np.log(gaps)
-        bump = None if steady or visit.p_value(explained) * gaps >= family.share else bump
-        enough = alone[worst] <= max(-np.log(family.share), creep if steady else 0.0) or len(gross) >= most
-        if enough or (bump is not None and alone[worst] <= _surprise(explained) - np.log(gaps)):
+        creep = _neg_log_p(visit.explained(EvenMotion().design(visit.sightings)))
+        steady = creep >= _neg_log_p(explained) - np.log(gaps)
+        bump = None if steady or visit.p_value(explained) * gaps >= family.alpha_per_test else bump
+        enough = alone[worst] <= max(-np.log(family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
+        if enough or (bump is not None and alone[worst] <= _neg_log_p(explained) - np.log(gaps)):
             return gross, bump, visit
         gross[worst] = float(np.exp(-alone[worst]))
         use: Bools = visit.use & np.asarray(np.arange(len(visit.use)) != worst)
@@ -318,11 +318,11 @@ def best_bump(visit: StationOccupation) -> tuple[StationBump | None, ColumnsFit,
     if not tried:
         return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: visit.explained(bump.design(visit.sightings)) for bump in tried}
-    for bump in max(explained_by, key=lambda bump: _surprise(explained_by[bump])).finer(visit.sightings):
+    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).finer(visit.sightings):
         if _witnesses(visit, bump) >= WITNESSES:
             explained_by[bump] = visit.explained(bump.design(visit.sightings))
-    found = max(explained_by, key=lambda bump: _surprise(explained_by[bump]))
-    return found, explained_by[found], len(np.unique(visit.sightings.time)) - 1
+    best = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
+    return best, explained_by[best], len(np.unique(visit.sightings.time)) - 1
 
 
 def _witnesses(visit: StationOccupation, bump: StationBump) -> int:
@@ -332,17 +332,17 @@ def _witnesses(visit: StationOccupation, bump: StationBump) -> int:
     return len(np.intersect1d(target[visit.use & after], target[visit.use & ~after]))
 
 
-def _surprise(explained: ColumnsFit) -> float:
+def _neg_log_p(explained: ColumnsFit) -> float:
     """Negative log p-value of the fall of chi-square under the declared noise."""
-    return float(surprise(explained.drop, explained.rank))
+    return float(neg_log_p_chi2(explained.drop, explained.rank))
 
 
 def _of_gross(visit: StationOccupation, gross: Mapping[int, float], rows: Ints, family: Family) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in gross))
-    sentence, told = gross_sentence(visit, list(gross), rows), tuple(int(rows[i]) for i in gross)
+    sentence, numbers = gross_sentence(visit, list(gross), rows), tuple(int(rows[i]) for i in gross)
     chance = family.adjusted(max(gross.values())) if gross else None
-    return Item.of(name, "gross", not gross, sentence, chance, targets=targets, rows=told)
+    return Item.of(name, "gross", not gross, sentence, chance, targets=targets, rows=numbers)
 
 
 def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, family: Family) -> Item:
@@ -386,10 +386,10 @@ def _closure(visit: StationOccupation, family: Family) -> Item:
     return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
 
 
-def _scattering(visit: StationOccupation, left: StationOccupation, family: Family) -> Item:
+def _scattering(visit: StationOccupation, remaining: StationOccupation, family: Family) -> Item:
     """The closure of a set-up whose targets scatter each in its own way."""
-    closure, (chi2, dof) = _closure(left, family), left.scatter()
-    shown = np.flatnonzero(dof >= OWN_DOF)
+    closure, (chi2, dof) = _closure(remaining, family), remaining.scatter()
+    shown = np.flatnonzero(dof >= MIN_TARGET_DOF)
     shown = shown[np.argsort(-chi2[shown] / dof[shown], kind="stable")]
     sentence, targets = target_sentence(visit, shown)
     return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

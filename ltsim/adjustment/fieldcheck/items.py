@@ -106,7 +106,7 @@ class Family:
     tests: int
 
     @property
-    def share(self) -> float:
+    def alpha_per_test(self) -> float:
         """Part of the level that one test has."""
         return self.level / self.tests
 

@@ -31,7 +31,7 @@ FELT = 0.1
 """Directions of the instrument's errors that change no reading by this part of its sigma are left out."""
 REDUNDANT = 0.05
 """Redundancy below which an error of a reading does not show."""
-SEEN = 0.999
+DETERMINED_SHARE = 0.999
 """Share of a parameter that the directions which readings feel must hold before it has a value."""
 SHOWN = 0.01
 """Share of what a suspect does to the readings that targets and instrument must leave, to say anything of it."""
@@ -101,8 +101,8 @@ class StationOccupation:
         blank = np.zeros((len(recording), 3, 0))
         bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
         columns = bare.projected(by_value * prior * scale).reshape(3 * len(recording), -1)
-        left, size, _ = np.linalg.svd(columns, full_matrices=False)
-        instrument = left[:, size > FELT].reshape(len(recording), 3, -1)
+        u, size, _ = np.linalg.svd(columns, full_matrices=False)
+        instrument = u[:, size > FELT].reshape(len(recording), 3, -1)
         dof = int(weight.sum()) - ranks - instrument.shape[2]
         whole = cls(recording, sightings, chosen, gap, by_target, instrument, sigma, dof)
         return replace(whole, whitened=whole.projected(gap[:, :, None] * scale)[:, :, 0])
@@ -139,12 +139,12 @@ class StationOccupation:
     def explained(self, design: Floats) -> ColumnsFit:
         """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
         unit, length = self._unit_columns(design)
-        left, size, right = np.linalg.svd(unit, full_matrices=False)
+        u, size, right = np.linalg.svd(unit, full_matrices=False)
         good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
-        amount = left[:, good].T @ self.whitened.ravel()
+        amount = u[:, good].T @ self.whitened.ravel()
         back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = back @ back.T
-        unseen = np.sum(right[good] ** 2, axis=0) < SEEN
+        unseen = np.sum(right[good] ** 2, axis=0) < DETERMINED_SHARE
         covariance[unseen, unseen] = np.inf
         return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
 
@@ -152,25 +152,25 @@ class StationOccupation:
         """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""
         if not explained.rank or self.dof <= explained.rank:
             return 1.0
-        stated = float(special.chdtrc(explained.rank, explained.drop))
+        by_declared = float(special.chdtrc(explained.rank, explained.drop))
         rest = self.dof - explained.rank
         ratio = (explained.drop / explained.rank) / max((self.chi2 - explained.drop) / rest, 1e-30)
-        return max(stated, float(special.fdtrc(explained.rank, rest, ratio)))
+        return max(by_declared, float(special.fdtrc(explained.rank, rest, ratio)))
 
     def without(self, design: Floats) -> StationOccupation:
         """The occupation with the columns (n, 3, c) of a suspect fitted too."""
-        left, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
-        added = left[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
+        u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
+        added = u[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
         rest = self.whitened.ravel() - added @ (added.T @ self.whitened.ravel())
         basis = np.concatenate([self.by_instrument, added.reshape(len(self.use), 3, -1)], axis=2)
         return replace(self, whitened=rest.reshape(-1, 3), by_instrument=basis, dof=self.dof - added.shape[1])
 
     def scatter(self) -> tuple[Floats, Floats]:
         """Chi-square (T,) of each target's pointings, and the degrees of freedom that it has."""
-        own = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
-        redundancy = np.where(self.weight > 0, 1.0 - own, 0.0).sum(axis=1)
+        leverage = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
+        redundancy = np.where(self.weight > 0, 1.0 - leverage, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
-        sums = [np.bincount(target, one, count) for one in (np.sum(self.whitened**2, axis=1), redundancy)]
+        sums = [np.bincount(target, weights, count) for weights in (np.sum(self.whitened**2, axis=1), redundancy)]
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def miss(self, row: int) -> float:
@@ -188,11 +188,11 @@ class StationOccupation:
 
     def of_pointings(self) -> tuple[Floats, Ints]:
         """Fall of chi-square (n,) if a pointing were left out, and by how many readings (n,) that is judged."""
-        own = np.eye(3) - np.einsum("nij,nkj->nik", self.by_target, self.by_target)
-        own = own - np.einsum("nij,nkj->nik", self.by_instrument, self.by_instrument)
-        seen = self.weight > 0
-        own = np.where(seen[:, :, None] & seen[:, None, :], own, 0.0)
-        values, vectors = np.linalg.eigh(own)
+        response = np.eye(3) - np.einsum("nij,nkj->nik", self.by_target, self.by_target)
+        response = response - np.einsum("nij,nkj->nik", self.by_instrument, self.by_instrument)
+        in_use = self.weight > 0
+        response = np.where(in_use[:, :, None] & in_use[:, None, :], response, 0.0)
+        values, vectors = np.linalg.eigh(response)
         controlled = values > REDUNDANT
         amount = np.einsum("nij,ni->nj", vectors, self.whitened)
         drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
@@ -214,15 +214,15 @@ def _state(recording: Recording, use: Bools) -> State:
 
 def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
     """An orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
-    found, ranks = np.zeros_like(columns), 0
+    bases, ranks = np.zeros_like(columns), 0
     for t in range(count):
         rows = np.flatnonzero(target == t)
-        left, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
+        u, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
         good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
-        basis = np.where(good, left, 0.0)
-        found[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
+        basis = np.where(good, u, 0.0)
+        bases[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
         ranks += int(good.sum())
-    return found, ranks
+    return bases, ranks
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ ZEROS = (("range", "um", MICROMETRE, 100 * MICROMETRE), ("vertical index", "arcs
 SHIFT, TILT, TURN = slice(0, 3), slice(3, 5), slice(5, 6)
 VAGUE = 100 * MICRORADIAN
 """Standard deviation of a level from which a recording says nothing of it."""
-TOLD = 2.0
+MIN_REPORTED_SIGMAS = 2.0
 """Standard deviations from which a part of a motion is told."""
 
 
@@ -79,10 +79,10 @@ def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -
     return f"{name} to {first}, row {rows[gross[0]]}: {away}{more}: measure again"
 
 
-def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], found: ColumnsFit) -> str:
+def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], fit: ColumnsFit) -> str:
     """When a station moved at once, and by how much."""
     when = f"between {moment(recording, between[0])} and {moment(recording, between[1])}"
-    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion(found)}"
+    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion(fit)}"
 
 
 def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
@@ -108,8 +108,8 @@ def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: boo
         for value, sigma, (what, name, unit, most) in zip(explained.values, spread, ZEROS, strict=True)
         if sigma * duration < most
     ]
-    said = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
-    return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{said}"
+    end = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
+    return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{end}"
 
 
 def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[str, ...]]:
@@ -122,26 +122,26 @@ def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[s
     return sentence, tuple(names[: (len(names) + 1) // 2])
 
 
-def _motion(found: ColumnsFit) -> str:
+def _motion(fit: ColumnsFit) -> str:
     """A motion of a station in words: what the targets that were measured again tell of it."""
     kinds = (
         ("shifted", SHIFT, "um", MICROMETRE),
         ("turned", TURN, "urad", MICRORADIAN),
         ("leaning", TILT, "urad", MICRORADIAN),
     )
-    sizes = [(what, *found.size(which), unit, one) for what, which, unit, one in kinds]
-    told = [
-        f"{what} by {with_sigma(size / one, sigma / one, unit)}"
-        for what, size, sigma, unit, one in sizes
-        if size > TOLD * sigma
+    sizes = [(what, *fit.size(which), unit, factor) for what, which, unit, factor in kinds]
+    parts = [
+        f"{what} by {with_sigma(size / factor, sigma / factor, unit)}"
+        for what, size, sigma, unit, factor in sizes
+        if size > MIN_REPORTED_SIGMAS * sigma
     ]
-    return f": {', '.join(told)}" if told else ""
+    return f": {', '.join(parts)}" if parts else ""
 
 
 def length(metres: float) -> str:
     """A length in the unit that a person would use."""
-    unit, one = ("mm", MILLIMETRE) if metres > MILLIMETRE else ("um", MICROMETRE)
-    return f"{plain(metres / one)} {unit}"
+    unit, factor = ("mm", MILLIMETRE) if metres > MILLIMETRE else ("um", MICROMETRE)
+    return f"{plain(metres / factor)} {unit}"
 
 
 def plain(value: float, digits: int = 3) -> str:

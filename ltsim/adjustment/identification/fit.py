@@ -12,13 +12,19 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.adjustment.identification.prior import log_prior_of
-from ltsim.adjustment.known import loosened
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reference_tests import relaxed_references
+from ltsim.adjustment.reference_values import (
+    ReferenceRows,
+    ReferenceValue,
+    common_scale,
+    drop_reference,
+    reference_values,
+)
 from ltsim.adjustment.robust import robust_state
-from ltsim.adjustment.snooping import LARGEST_ERROR, snooped, without_loose
-from ltsim.adjustment.start import reached_network
-from ltsim.adjustment.stated import KnownInRows, KnownValue, common_scale, known_values, without
+from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, snoop_readings
+from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -77,12 +83,12 @@ class Fit:
     solution: Solution[State]
 
     @classmethod
-    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> list[KnownInRows]:
+    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> list[ReferenceRows]:
         """Reference values that a robust state misses by far: a fit that believes them bends the whole network."""
         problem, start = cls._problem(network, hypotheses)
-        state, residual = robust_state(loosened(problem, start), start)
+        state, residual = robust_state(relaxed_references(problem, start), start)
         limit = FAR * max(median_deviation(residual[: int(problem.use.sum())]), 1.0)
-        values = [v for v in known_values(problem, state) if v.kind != "mark"]
+        values = [v for v in reference_values(problem, state) if v.kind != "mark"]
         far = [v for v in values if float(np.abs(residual[v.rows]).max()) > limit]
         return far if 3 * len(far) <= max(len(values), 3) else []
 
@@ -102,8 +108,8 @@ class Fit:
         problem, start = cls._problem(network, hypotheses, start, near)
         if fresh:
             start = robust_state(problem, start)[0]
-        whole = without_loose(problem, start)
-        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start, ROUNDS))
+        whole = drop_undetermined(problem, start)
+        fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, ROUNDS))
         if any(isinstance(h.change, NoiseFactor) for h in hypotheses):
             fit = fit._reweighted()
         return fit if fit.solution.converged and fit._is_determined else None
@@ -142,7 +148,7 @@ class Fit:
         recording = changed_recording(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start is None:
-            reached, lost = reached_network(recording if near is None else _unshifted(recording, hypotheses, near))
+            reached, lost = initial_network(recording if near is None else _unshifted(recording, hypotheses, near))
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
             parameters = np.zeros((len(recording.instruments), network.construction.size))
             start = State(*reached, parameters if network.prior is None else network.prior.mean)
@@ -176,7 +182,7 @@ class Fit:
             whole, problem = replace(fit.whole, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > OTHER_OUTLIERS:
-                problem, solution = snooped(whole, fit.state, ROUNDS)
+                problem, solution = snoop_readings(whole, fit.state, ROUNDS)
             fit = replace(fit, whole=whole, problem=problem, solution=solution)
         return fit
 
@@ -271,11 +277,11 @@ class Fit:
         """(n, 3): usable readings that are left out."""
         return self.whole.use & ~self.problem.use
 
-    def _missed_by(self, value: KnownValue) -> float:
+    def _missed_by(self, value: ReferenceValue) -> float:
         """Miss of an omitted reference value, in its declared standard deviations."""
         return float(np.linalg.norm(self.gap_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
 
-    def gap_of(self, value: KnownValue) -> Floats:
+    def gap_of(self, value: ReferenceValue) -> Floats:
         """Misclosure (q,) [m, rad] of an omitted reference value in the adjusted network."""
         model = replace(self.problem.model, recording=self.network.recording)
         declared = NetworkProblem.of(model, use=self.problem.use)
@@ -283,7 +289,7 @@ class Fit:
             station = self.recording.stations.index(value.name)
             over = declared.marks.on_marks(self.state.position, self.state.points)
             return np.asarray(self.state.position[station] - over[station])
-        every = (*known_values(declared, self.state), *common_scale(declared, self.state))
+        every = (*reference_values(declared, self.state), *common_scale(declared, self.state))
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
@@ -361,5 +367,5 @@ def changed_recording(recording: Recording, hypotheses: Sequence[Hypothesis]) ->
     recording = recording.replace(readings=readings, target=target, face=face)
     for h in hypotheses:
         if isinstance(h.change, Omission):
-            recording = without(recording, h.change.value)
+            recording = drop_reference(recording, h.change.value)
     return recording

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ltsim.adjustment.stated import KnownValue
+from ltsim.adjustment.reference_values import ReferenceValue
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import Signature
 
@@ -39,7 +39,7 @@ class Shift:
 class Omission:
     """A reference value that is not believed."""
 
-    value: KnownValue
+    value: ReferenceValue
 
 
 @dataclass(frozen=True)

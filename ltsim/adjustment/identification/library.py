@@ -12,13 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from ltsim.adjustment.gross import mend_faces, mend_stations, mistakes
+from ltsim.adjustment.blunders import correct_faces, correct_units, detect_blunders
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, Kind, NoiseFactor, Omission, Shift
 from ltsim.adjustment.identification.prior import log_prior_of
 from ltsim.adjustment.identification.signatures import ReadingShift
-from ltsim.adjustment.moving import EvenMotion
-from ltsim.adjustment.stated import KnownInRows, known_values
+from ltsim.adjustment.reference_values import ReferenceRows, reference_values
+from ltsim.adjustment.station_motions import EvenMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
@@ -30,7 +30,7 @@ from ltsim.scene.sightings import Sightings
 
 LEAST_REPEATED = 4
 """Pointings to a target from which it may have noise of its own: of two or three one that is wrong says as much."""
-LEAST_SEEN = 3
+MIN_POINTINGS = 3
 """Pointings before and after the moment at which a station moves: with fewer a single reading explains as much."""
 MOST_MOMENTS = 60
 """Moments of one station or target at which a change is tried; spread evenly over its pointings."""
@@ -104,8 +104,8 @@ def families(sightings: Sightings) -> Iterator[Family]:
         if np.isfinite(sightings.nest_normal).all(axis=1).any():
             yield Family("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_design(sightings)
-    yield Family("orientation", "azimuth", "station", azimuth, onset=LEAST_SEEN)
-    yield Family("station-bump", "position", "station", motion, onset=LEAST_SEEN)
+    yield Family("orientation", "azimuth", "station", azimuth, onset=MIN_POINTINGS)
+    yield Family("station-bump", "position", "station", motion, onset=MIN_POINTINGS)
     yield Family("station-drift", "position", "station", EvenMotion().design(sightings))
 
 
@@ -153,15 +153,15 @@ def candidates(sightings: Sightings) -> list[Candidate]:
     count: dict[Kind, int] = {}
     for family, *_ in shifts:
         count[family.kind] = count.get(family.kind, 0) + 1
-    return [Candidate(*one, count[one[0].kind]) for one in shifts]
+    return [Candidate(*shift, count[shift[0].kind]) for shift in shifts]
 
 
 def omissions(fit: Fit) -> list[Hypothesis]:
     """Reference values that may be wrong."""
-    return omissions_of(fit.recording, list(known_values(fit.problem, fit.state)))
+    return omissions_of(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
-def omissions_of(recording: Recording, values: Sequence[KnownInRows]) -> list[Hypothesis]:
+def omissions_of(recording: Recording, values: Sequence[ReferenceRows]) -> list[Hypothesis]:
     """Hypotheses that each of some reference values is wrong."""
     hypotheses = []
     for v in values:
@@ -187,7 +187,7 @@ def corrections(fit: Fit) -> list[Hypothesis]:
     """Rows that were written down wrongly, by where outliers would land."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     missed = np.asarray((fit.outliers & fit.is_gross).any(axis=1)) | fit.adjustment.gross
-    for mistake, readings, target in mistakes(replace(fit.adjustment, gross=missed)):
+    for mistake, readings, target in detect_blunders(replace(fit.adjustment, gross=missed)):
         kind = MISTAKES[mistake.effect]
         change = Correction(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
@@ -200,8 +200,8 @@ def corrections(fit: Fit) -> list[Hypothesis]:
 
 def conventions(recording: Recording) -> list[Hypothesis]:
     """Set-ups that were recorded in another unit, sense or face: by the shape of what they saw, without a network."""
-    converted, slips = mend_stations(recording)
-    faced, faces = mend_faces(converted)
+    converted, slips = correct_units(recording)
+    faced, faces = correct_faces(converted)
     hypotheses = []
     for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
         rows = mistake.rows

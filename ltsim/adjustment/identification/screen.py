@@ -18,7 +18,7 @@ from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
 from ltsim.adjustment.identification.prior import log_prior_of
-from ltsim.adjustment.known import KnownTest, known_tests, loosened
+from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.gauge_scale import GaugeScale
@@ -51,7 +51,7 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
         local, guesses = _local(fit, every)
         gains = np.maximum(gains, local)
     ranked = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
-    offers = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _one_a_place(ranked, every)]
+    offers = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _best_per_place(ranked, every)]
     for space, behind in spaces:
         offers += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
         offers += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
@@ -61,7 +61,7 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
     offers += _noises(fit)
     if fit.outliers.sum() > MANY:
         offers += _distances_aside(fit, every)
-    offers.sort(key=lambda one: -one[0])
+    offers.sort(key=lambda offer: -offer[0])
     return offers
 
 
@@ -76,7 +76,7 @@ def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
     return replace(fit.adjustment, problem=fit.whole, solution=solution), min(behind, 0.0)
 
 
-def _one_a_place(ranked: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
+def _best_per_place(ranked: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
     """The best moment of each kind at each place."""
     places, best = set[tuple[str, str, str]](), []
     for gain, i in ranked:
@@ -103,9 +103,9 @@ def _exact(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
         step = max(1, AT_ONCE // (space.size * rank))
         for batch in (group[k : k + step] for k in range(0, len(group), step)):
             rows = np.hstack([_signature(space, every[i]) for i in batch])
-            left = space.project(rows).reshape(space.size, len(batch), rank)
+            projected = space.project(rows).reshape(space.size, len(batch), rank)
             size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
-            unit = left / np.where(size > 0, size, 1.0)
+            unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
             score = np.einsum("mhi,m->hi", unit, space.residual)
             strength, turn = np.linalg.eigh(gram)
@@ -247,16 +247,16 @@ def _rows_of(fit: Fit, hypothesis: Hypothesis) -> Ints:
 
 
 def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
-    problem = loosened(adjustment.problem, adjustment.state)
+    problem = relaxed_references(adjustment.problem, adjustment.state)
     solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
-    tests: dict[tuple[str, str], KnownTest] = {}
+    tests: dict[tuple[str, str], ReferenceTest] = {}
     if solution.factor is not None:
-        tests = {(t.kind, t.name): t for t in known_tests(problem, solution)}
+        tests = {(t.kind, t.name): t for t in reference_tests(problem, solution)}
     offers = []
     for h in omissions(fit):
         test = tests.get((h.acts_on, h.name))
         if test is not None and test.rank:
-            offers.append((_evidence(test.drop, test.rank) + h.log_prior, h))
+            offers.append((_evidence(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
 
 
@@ -265,7 +265,7 @@ def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypot
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge) < SEVERAL:
         return []
-    drop, rank = space.explained(space.signature(scale))
+    drop, rank = space.chi2_drop(space.signature(scale))
     prior = log_prior_of("reference-scale", 1)
     common = Hypothesis("reference-scale", "length", (), (), prior, Shift(scale))
     return [(_evidence(drop, rank) + prior, common)] if rank else []

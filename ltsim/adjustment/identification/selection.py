@@ -51,7 +51,7 @@ AFTER_ALL = 0.5
 """Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
 BENDS = 50.0
 """Log evidence of a shift of ten standard deviations: a smaller one does not bend a network out of reach of itself."""
-KEPT_PROMISE = 0.8
+FULFILLED = 0.8
 """Share of its promise, a quadratic form at the present state, from which the look at the others may be trusted too."""
 ALTERNATIVE = 5.0
 """Log evidence behind a choice from which a hypothesis has less than 1 % of its probability."""
@@ -208,13 +208,13 @@ def _fitted(fit: Fit, at_least: float = 0.0, instead_of: Hypothesis | None = Non
             break
         if hypothesis.place in places or any(hypothesis.place == h.place for h, _ in tried):
             continue
-        if tried and best > KEPT_PROMISE * first and not hypothesis.competes(tried[0][0]):
+        if tried and best > FULFILLED * first and not hypothesis.competes(tried[0][0]):
             continue
         first, attempts = promised if not attempts else first, attempts + 1
         made = refitted(fit, hypothesis, promised)
         if made is not None:
             tried.append((hypothesis, made))
-    return sorted(tried, key=lambda one: -one[1].log_evidence)
+    return sorted(tried, key=lambda pair: -pair[1].log_evidence)
 
 
 def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:

@@ -28,7 +28,7 @@ from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 P = TypeVar("P")
-ALIKE = 0.9
+CONFUSABLE = 0.9
 """Share of a signature that another effect explains, from which on the two are called alike."""
 LEVEL = 0.05
 """False-alarm rate of a whole search."""
@@ -75,7 +75,7 @@ def thinned(places: Sequence[P]) -> list[P]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class EffectDetectability:
     """One effect in a layout: its places and what is left of each."""
 
     name: str
@@ -92,7 +92,7 @@ class Seen:
         """One row a parameter."""
         rows = []
         for law in dict.fromkeys(self.parameters):
-            at = [k for k, own in enumerate(self.parameters) if own == law]
+            at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
             visible = float(np.median([self.visible[k] for k in at]))
             for j, p in enumerate(law):
                 size = np.array([self.sizes[k][j] for k in at])
@@ -125,39 +125,44 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
-def examine(space: ResidualSpace, places: Sequence[Effect]) -> Seen | None:
+def examine(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
     """Residual signatures of one effect at all places that a search would try; None where the network lacks its needs.
 
     At most `MOST_PLACES` of the places are examined.
     """
-    some = thinned(places)
-    noises = [effect for effect in some if isinstance(effect, NoiseEffect)]
-    found: list[tuple[Effect, Floats, float, int, Floats]] = []
-    told = _noise_information(space, noises) if noises else []
-    found += [(effect, own, 1.0, len(own), np.zeros((0, 0))) for effect, own in zip(noises, told, strict=True)]
-    for effect in () if noises else some:
+    examined = thinned(places)
+    noises = [effect for effect in examined if isinstance(effect, NoiseEffect)]
+    signatures: list[tuple[Effect, Floats, float, int, Floats]] = []
+    informations = _noise_information(space, noises) if noises else []
+    signatures += [
+        (effect, information, 1.0, len(information), np.zeros((0, 0)))
+        for effect, information in zip(noises, informations, strict=True)
+    ]
+    for effect in () if noises else examined:
         whole = space.signature(effect)
         if np.isfinite(whole).all() and whole.any():
             norm = np.linalg.norm(whole, axis=0)
             scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal(scaled, np.ones(len(norm)))
-            found.append((effect, *information_left(scaled.T @ scaled, norm, VISIBLE), basis))
-    return seen_from(found, len(places)) if found else None
+            signatures.append((effect, *visible_information(scaled.T @ scaled, norm, VISIBLE), basis))
+    return effect_detectability(signatures, len(places)) if signatures else None
 
 
-def seen_from(found: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int) -> Seen:
+def effect_detectability(
+    signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int
+) -> EffectDetectability:
     """Residual signatures of one effect by place: information (q, q), visible share, rank, columns (m, r) of each.
 
     `sought` is the number of places that a search tries.
     """
-    kept, information, visible, spent, left = zip(*found, strict=True)
+    effects, information, visible, spent, columns = zip(*signatures, strict=True)
     needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
     sizes = tuple(map(_smallest, information, needed))
-    names, laws = tuple(map(_place, kept)), tuple(effect.parameters for effect in kept)
-    return Seen(kept[0].name, laws, names, sizes, visible, left)
+    names, laws = tuple(map(_place, effects)), tuple(effect.parameters for effect in effects)
+    return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
 
 
-def information_left(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, float, int]:
+def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, float, int]:
     """Information (q, q), visible share and rank from the Gram matrix of what is left of unit columns.
 
     `norm` (q,) are the lengths of the columns, `visible` the share of a squared length that is rounding.
@@ -171,9 +176,9 @@ def information_left(gram: Floats, norm: Floats, visible: float) -> tuple[Floats
 
 def _smallest(information: Floats, needed: float) -> Floats:
     """Minimal detectable size (q,) of each parameter alone; infinite without information."""
-    own = np.diag(information)
-    size = np.full(len(own), np.inf)
-    size[own > 0] = np.sqrt(needed / own[own > 0])
+    diagonal = np.diag(information)
+    size = np.full(len(diagonal), np.inf)
+    size[diagonal > 0] = np.sqrt(needed / diagonal[diagonal > 0])
     return size
 
 
@@ -187,7 +192,7 @@ def _place(effect: Effect) -> str:
     return " ".join(parts)
 
 
-def examine_baseline(adjustment: Adjustment, effect: Effect) -> Seen:
+def examine_baseline(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Minimal detectable size of a term of the ordinary calibration, beside the other terms with their priors.
 
     It is estimated from the readings, not tested; this is the size its estimate must have to be told from zero.
@@ -196,10 +201,10 @@ def examine_baseline(adjustment: Adjustment, effect: Effect) -> Seen:
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     sizes = _smallest(information, noncentrality(len(information)))
-    return Seen(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
+    return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 
 
-def likeness(first: Seen, second: Seen) -> float:
+def explained_fraction(first: EffectDetectability, second: EffectDetectability) -> float:
     """Share of the first effect's visible signature that the second explains: median over the first's places.
 
     The second may take any of its places and shapes, as it may in a diagnosis.
@@ -209,10 +214,10 @@ def likeness(first: Seen, second: Seen) -> float:
     rivals = np.hstack([b for b in second.columns if b.shape[1]])
     starts = np.cumsum([0, *(b.shape[1] for b in second.columns if b.shape[1])])[:-1]
     shares = []
-    for own in first.columns:
-        if own.shape[1]:
-            overlap = (rivals.T @ own) ** 2
-            shares.append(float(np.add.reduceat(overlap.sum(axis=1), starts).max()) / own.shape[1])
+    for columns in first.columns:
+        if columns.shape[1]:
+            overlap = (rivals.T @ columns) ** 2
+            shares.append(float(np.add.reduceat(overlap.sum(axis=1), starts).max()) / columns.shape[1])
     return float(np.median(shares)) if shares else 0.0
 
 
@@ -220,21 +225,23 @@ def likeness(first: Seen, second: Seen) -> float:
 class Detectability:
     """Every catalogued effect in one layout."""
 
-    effects: tuple[Seen, ...]
+    effects: tuple[EffectDetectability, ...]
     silent: tuple[str, ...]
     """Effects that leave no trace anywhere in this layout, or need what the layout does not state."""
     names: tuple[str, ...]
-    alike: Floats
+    similarity: Floats
     """(e, e): row effect explained by column effect, 0 to 1, for those with a signature (`names`)."""
 
     def table(self) -> list[MinimalSize]:
         """One row a parameter of every effect."""
-        return [row for seen in self.effects for row in seen.table()]
+        return [row for effect_report in self.effects for row in effect_report.table()]
 
     def confusable(self) -> list[tuple[str, str, float]]:
         """Pairs (effect, what it would be taken for, share explained), the most alike first."""
-        first, second = np.nonzero((self.alike > ALIKE) & ~np.eye(len(self.names), dtype=bool))
-        pairs = [(self.names[i], self.names[j], float(self.alike[i, j])) for i, j in zip(first, second, strict=True)]
+        first, second = np.nonzero((self.similarity > CONFUSABLE) & ~np.eye(len(self.names), dtype=bool))
+        pairs = [
+            (self.names[i], self.names[j], float(self.similarity[i, j])) for i, j in zip(first, second, strict=True)
+        ]
         return sorted(pairs, key=lambda pair: -pair[2])
 
 
@@ -245,18 +252,18 @@ def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Eff
     """
     space = ResidualSpace.of(adjustment)
     estimated = set(adjustment.construction.names)
-    found: list[Seen] = []
+    examined: list[EffectDetectability] = []
     silent: list[str] = []
     for entry in catalogue:
         kind = entry if isinstance(entry, type) else type(entry)
         if kind.parameters and {p.name for p in kind.parameters} <= estimated:
-            found.append(examine_baseline(adjustment, kind()))
+            examined.append(examine_baseline(adjustment, kind()))
             continue
-        seen = examine(space, kind.candidates(adjustment.sightings))
-        if seen is None or not any(np.isfinite(size).any() for size in seen.sizes):
+        effect_report = examine(space, kind.candidates(adjustment.sightings))
+        if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.sizes):
             silent.append(kind.name)
-        if seen is not None:
-            found.append(seen)
-    signed = [seen for seen in found if any(b.size for b in seen.columns)]
-    alike = np.array([[likeness(a, b) for b in signed] for a in signed]).reshape(len(signed), -1)
-    return Detectability(tuple(found), tuple(silent), tuple(s.name for s in signed), alike)
+        if effect_report is not None:
+            examined.append(effect_report)
+    signed = [effect_report for effect_report in examined if any(b.size for b in effect_report.columns)]
+    similarity = np.array([[explained_fraction(a, b) for b in signed] for a in signed]).reshape(len(signed), -1)
+    return Detectability(tuple(examined), tuple(silent), tuple(s.name for s in signed), similarity)

@@ -112,8 +112,10 @@ class Network:
     def with_station(self, name: str, like: int, position: Floats, rotation: Floats) -> Network:
         """A further set-up at `position` (3,), `rotation` (3, 3), with the instrument and level of set-up `like`."""
         recording, state = self.recording, self.state
-        known = recording.station_setup(recording.stations[like])
-        fresh = known.model_copy(update={"position_mm": None, "yaw_deg": None, "yaw_sigma_arcsec": None, "over": None})
+        declared = recording.station_setup(recording.stations[like])
+        fresh = declared.model_copy(
+            update={"position_mm": None, "yaw_deg": None, "yaw_sigma_arcsec": None, "over": None}
+        )
         setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
         places, turns = np.vstack([state.position, position]), np.concatenate([state.rotation, rotation[None]])
         grown = recording.replace(setup=setup, stations=(*recording.stations, name))

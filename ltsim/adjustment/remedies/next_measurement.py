@@ -20,9 +20,9 @@ from ltsim.adjustment.remedies.remedy import (
     EFFORT,
     Remedy,
     advice,
+    calibrated_length,
     further_pointings,
     further_stations,
-    known_length,
     listed,
     other_ways,
     returns,
@@ -50,7 +50,7 @@ Progress = Callable[[str, float], None]
 """Told what is being done and which share of it is done."""
 
 
-def quiet(*_told: object) -> None:
+def quiet(*_arguments: object) -> None:
     """Nobody is told."""
 
 
@@ -64,7 +64,7 @@ class Explanation:
 
 def space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
     """The residual space of an adjustment with `extra_effects` estimated too."""
-    return ResidualSpace.of(adjustment).beside(extra_effects)
+    return ResidualSpace.of(adjustment).with_effects(extra_effects)
 
 
 def explanation(space: ResidualSpace, name: str) -> Explanation:
@@ -78,9 +78,9 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
     best: Explanation | None = None
     least = float(space.residual @ space.residual)
     for effect in kind.candidates(space.sightings):
-        values, left = _fitted(space, effect, space.residual)
-        if left < least:
-            least, best = left, Explanation(effect, values)
+        values, sum_of_squares = _fitted(space, effect, space.residual)
+        if sum_of_squares < least:
+            least, best = sum_of_squares, Explanation(effect, values)
     if best is None:
         raise ModelError(f"{name} leaves no trace in this recording; no size of it can be taken from it")
     return best
@@ -88,11 +88,11 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
 
 def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size (q,) of an effect that fits a projected vector best, and the square of what it leaves."""
-    left = space.project(space.signature(effect))
-    if not np.isfinite(left).all() or not left.any():
+    projected = space.project(space.signature(effect))
+    if not np.isfinite(projected).all() or not projected.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
-    values = np.asarray(np.linalg.lstsq(left, residual, rcond=1e-6)[0], dtype=np.float64)
-    return values, float(np.sum((residual - left @ values) ** 2))
+    values = np.asarray(np.linalg.lstsq(projected, residual, rcond=1e-6)[0], dtype=np.float64)
+    return values, float(np.sum((residual - projected @ values) ** 2))
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Rivals:
 
     first: Explanation
     second: Explanation
-    stand_ins: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
+    rival_instances: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
     """Every instance of the second and what it leaves of the first in the recording as it is, the least
     first; then the other way round. More pointings never leave less.
     """
@@ -109,20 +109,24 @@ class Rivals:
     @classmethod
     def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
         """As a recording leaves them."""
-        return cls(first, second, (_stand_ins(space, first, second.effect), _stand_ins(space, second, first.effect)))
+        return cls(
+            first,
+            second,
+            (_rival_instances(space, first, second.effect), _rival_instances(space, second, first.effect)),
+        )
 
     @property
     def now(self) -> float:
         """Evidence in the recording as it is."""
-        return min(found[0][0] for found in self.stand_ins)
+        return min(instances[0][0] for instances in self.rival_instances)
 
     def evidence(self, space: ResidualSpace) -> float:
         """Expected difference of chi-square in a longer recording, whichever of the two holds."""
         least = []
-        for truth, stand_ins in zip((self.first, self.second), self.stand_ins, strict=True):
+        for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
             signature = space.project(space.signature(truth.effect) @ truth.values)
             smallest = float(signature @ signature)
-            for before, effect in stand_ins:
+            for before, effect in rival_instances:
                 if before >= smallest:
                     break
                 smallest = min(smallest, _fitted(space, effect, signature)[1])
@@ -130,7 +134,7 @@ class Rivals:
         return min(least)
 
 
-def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[tuple[float, Effect]]:
+def _rival_instances(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[tuple[float, Effect]]:
     signature = space.project(space.signature(truth.effect) @ truth.values)
     instances = [rival, *thinned(type(rival).candidates(space.sightings))]
     return sorted(((_fitted(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
@@ -161,22 +165,22 @@ class Proposal(ValueEquality):
         return cls(remedy, float(sharper), adjustment.construction.names[best], float(ratio[best]), evidence or {})
 
     @property
-    def tells_apart(self) -> tuple[str, ...]:
+    def distinguished(self) -> tuple[str, ...]:
         """Explanations that would be told from the first."""
         return tuple(name for name, value in self.evidence.items() if value >= DECISIVE)
 
     @property
     def decides(self) -> bool:
         """All would be told from the first."""
-        return bool(self.evidence) and len(self.tells_apart) == len(self.evidence)
+        return bool(self.evidence) and len(self.distinguished) == len(self.evidence)
 
     @property
     def rank(self) -> tuple[int, int, float, float]:
         """The smaller, the better: how many are told apart, then with how little effort, then how nearly."""
         near = sum(min(value, DECISIVE) for value in self.evidence.values())
-        if not self.tells_apart:
+        if not self.distinguished:
             return 0, 0, 0.0, -near
-        return -len(self.tells_apart), EFFORT.index(self.remedy.kind), self.remedy.seconds, -near
+        return -len(self.distinguished), EFFORT.index(self.remedy.kind), self.remedy.seconds, -near
 
 
 @dataclass(frozen=True, repr=False)
@@ -195,14 +199,16 @@ class NextMeasurement(Result):
         best = self.proposals[0]
         if not self.between:
             return best.remedy.words
-        apart = best.tells_apart or self.between[1:]
-        now, then = (listed([f"{values[name]:.0f}" for name in apart]) for values in (self.evidence_now, best.evidence))
-        values = {"first": self.between[0], "others": listed(apart), "then": then}
-        if not best.tells_apart:
+        distinguished = best.distinguished or self.between[1:]
+        now, then = (
+            listed([f"{values[name]:.0f}" for name in distinguished]) for values in (self.evidence_now, best.evidence)
+        )
+        values = {"first": self.between[0], "others": listed(distinguished), "then": then}
+        if not best.distinguished:
             return advice("undecided", needed=DECISIVE, **values)
-        said = advice("decided", do=best.remedy.words, now=now, **values)
-        left = [name for name in self.between[1:] if name not in apart]
-        return said + (advice("left open", others=listed(left)) if left else "")
+        sentence = advice("decided", do=best.remedy.words, now=now, **values)
+        remaining = [name for name in self.between[1:] if name not in distinguished]
+        return sentence + (advice("left open", others=listed(remaining)) if remaining else "")
 
     def _lines(self) -> list[str]:
         question = f" between {listed(self.between)}" if self.between else ""
@@ -217,7 +223,7 @@ class NextMeasurement(Result):
             "minutes": [p.remedy.seconds / 60 for p in self.proposals],
             "sharper": [p.sharper for p in self.proposals],
             "serves": [p.serves for p in self.proposals],
-            "tells_apart": [" ".join(p.tells_apart) for p in self.proposals],
+            "distinguished": [" ".join(p.distinguished) for p in self.proposals],
         }
 
 
@@ -258,8 +264,8 @@ def next_measurement(
     >>> proposals.proposals[0].sharper < 1
     True
     """
-    seen = recording_of(recording)
-    adjustment = adjust(seen, declared_construction(seen))
+    measured = recording_of(recording)
+    adjustment = adjust(measured, declared_construction(measured))
     adjustment.solution.require_success()
     if len(between) > 1:
         plain = space_of(adjustment)
@@ -269,11 +275,11 @@ def next_measurement(
         return deciding(adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress)
     network, move = Network.of(adjustment), 60.0 * minutes_per_move
     every = *further_pointings(network), *returns(network, move), *further_stations(network, move)
-    found = [remedy for remedy in every if remedy.is_determined]
+    remedies = [remedy for remedy in every if remedy.is_determined]
     proposals = []
-    for done, remedy in enumerate(found, 1):
+    for done, remedy in enumerate(remedies, 1):
         proposals.append(Proposal.of(remedy, network.adjustment))
-        progress("trying further measurements", done / len(found))
+        progress("trying further measurements", done / len(remedies))
     return NextMeasurement(tuple(sorted(proposals, key=lambda p: p.sharper)))
 
 
@@ -294,17 +300,17 @@ def deciding(
     network, (first, *others) = Network.of(adjustment), explanations
     space = space_of(network.adjustment, extra_effects)
     rivals = {other.effect.name: Rivals.of(space, first, other) for other in others}
-    told = [name for name, pair in rivals.items() if pair.now >= DECISIVE]
-    if len(told) < len(rivals):
-        rivals = {name: pair for name, pair in rivals.items() if name not in told}
+    decided = [name for name, pair in rivals.items() if pair.now >= DECISIVE]
+    if len(decided) < len(rivals):
+        rivals = {name: pair for name, pair in rivals.items() if name not in decided}
     suspects = [target for e in explanations for target in e.effect.targets]
     near = sorted(further_pointings(network, suspects), key=_effort)
     again = sorted(returns(network, seconds_per_move), key=_effort)
-    late = sorted([*other_ways(network), *known_length(network)], key=_effort)
+    late = sorted([*other_ways(network), *calibrated_length(network)], key=_effort)
     total = len(near) + len(again) + FINALISTS + len(late)
     judged: list[Proposal] = []
     every = chain(near, again, _finalists(network, seconds_per_move), late)
-    for remedy in (one for one in every if one.is_determined):
+    for remedy in (candidate for candidate in every if candidate.is_determined):
         longer = space_of(remedy.network.adjustment, extra_effects)
         evidence = {name: pair.evidence(longer) for name, pair in rivals.items()}
         judged.append(Proposal.of(remedy, network.adjustment, evidence))
@@ -321,7 +327,7 @@ def _effort(remedy: Remedy) -> tuple[int, float]:
 
 def _finalists(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
     """The further places that tell most about the instrument, the quickest first."""
-    some = (remedy for remedy in further_stations(network, seconds_per_move) if remedy.is_determined)
-    told = [Proposal.of(remedy, network.adjustment) for remedy in some]
-    best = sorted(told, key=lambda p: p.sharper)[:FINALISTS]
+    remedies = (remedy for remedy in further_stations(network, seconds_per_move) if remedy.is_determined)
+    proposals = [Proposal.of(remedy, network.adjustment) for remedy in remedies]
+    best = sorted(proposals, key=lambda p: p.sharper)[:FINALISTS]
     yield from sorted((p.remedy for p in best), key=_effort)

@@ -42,7 +42,7 @@ CROWDED = 30
 """Set-ups from which a further place for one more is not looked for: it is one among many."""
 CLEARANCE = 0.8
 """[m] how near to another station, and to a target, a further one is not put; nor is a nearer target asked for."""
-KNOWN_LENGTH, KNOWN_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
+BAR_LENGTH, BAR_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
 """[m] a length that a workshop can have calibrated, how well, and the time it takes [s]."""
 NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
 """Range [m], azimuth, elevation [rad] of near reflectors."""
@@ -129,7 +129,7 @@ class FloorPlan:
     rotation: Floats
     """(3, 3) (3,)."""
     translation: Floats
-    known: bool
+    on_plan: bool
 
     @classmethod
     def of(cls, recording: Recording, state: State) -> FloorPlan:
@@ -139,20 +139,20 @@ class FloorPlan:
     @classmethod
     def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
         """By the stations whose places, or directions of zero too, a set-up states."""
-        stated = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
-        known = [i for i, station in stated.items() if station.position_mm is not None]
-        if not known:
-            return cls(np.eye(3), np.zeros(3), known=False)
-        here, there = position[known], np.array([stated[i].position_mm for i in known]) * MILLIMETRE
-        yaws = [i for i in known if stated[i].yaw_deg is not None]
+        setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
+        placed = [i for i, station in setups.items() if station.position_mm is not None]
+        if not placed:
+            return cls(np.eye(3), np.zeros(3), on_plan=False)
+        here, there = position[placed], np.array([setups[i].position_mm for i in placed]) * MILLIMETRE
+        yaws = [i for i in placed if setups[i].yaw_deg is not None]
         if yaws:
-            own = np.arctan2(rotation[yaws, 1, 0], rotation[yaws, 0, 0])
-            turns = np.exp(1j * (np.array([stated[i].yaw_deg for i in yaws]) * DEGREE - own))
+            yaw = np.arctan2(rotation[yaws, 1, 0], rotation[yaws, 0, 0])
+            turns = np.exp(1j * (np.array([setups[i].yaw_deg for i in yaws]) * DEGREE - yaw))
         else:
             away, goal = here - here.mean(axis=0), there - there.mean(axis=0)
             turns = (goal[:, 0] + 1j * goal[:, 1]) * (away[:, 0] - 1j * away[:, 1])
         turn = about_z(float(np.angle(turns.sum())))
-        return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), known=True)
+        return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), on_plan=True)
 
     def place(self, position: Floats) -> Floats:
         """Positions (..., 3) on the plan."""
@@ -197,8 +197,8 @@ def returns(network: Network, seconds_per_move: float, stations: Iterable[int] |
     """Each place of an instrument once more, its base turned, for the targets that it saw."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
-    some = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
-    for s in some if stations is None else stations:
+    chosen = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
+    for s in chosen if stations is None else stations:
         target = _first_visits(recording.target[_visit(recording, s)])
         if len(target):
             words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
@@ -212,7 +212,7 @@ def further_stations(network: Network, seconds_per_move: float) -> Iterator[Reme
     if len(recording.stations) >= CROWDED:
         return
     plan, name = FloorPlan.of(recording, state), _fresh(recording)
-    frame = "floor plan" if plan.known else f"frame of {recording.stations[0]}"
+    frame = "floor plan" if plan.on_plan else f"frame of {recording.stations[0]}"
     travel = recording.instrument_of(recording.stations[0]).limits or Limits()
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
     low, high = state.position.min(axis=0), state.position.max(axis=0)
@@ -220,8 +220,8 @@ def further_stations(network: Network, seconds_per_move: float) -> Iterator[Reme
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2))
     places = np.array([(a, b, state.position[:, 2].mean()) for a in x for b in y])
     taken = np.concatenate([state.position, state.points])
-    seen = visibility(places, state.points, limits).visible
-    for position, sights in zip(places, seen, strict=True):
+    visible = visibility(places, state.points, limits).visible
+    for position, sights in zip(places, visible, strict=True):
         if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < CLEARANCE:
             continue
         for turn in range(TURNS):
@@ -273,16 +273,16 @@ def other_face(network: Network) -> Remedy | None:
     return first if first and first.words == advice("other face") else None
 
 
-def known_length(network: Network) -> Iterator[Remedy]:
+def calibrated_length(network: Network) -> Iterator[Remedy]:
     """The pair of targets nearest to 2 m apart, with that length known."""
     points, names = network.state.points, network.recording.targets
     if len(points) < 2:
         return
     first, second = np.triu_indices(len(points), k=1)
-    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - KNOWN_LENGTH)))
+    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - BAR_LENGTH)))
     i, j = int(first[best]), int(second[best])
-    words = advice("length", length=KNOWN_LENGTH, targets=listed([names[i], names[j]]))
-    yield Remedy("length", words, CALIBRATION, network.with_length(i, j, KNOWN_SIGMA_MM))
+    words = advice("length", length=BAR_LENGTH, targets=listed([names[i], names[j]]))
+    yield Remedy("length", words, CALIBRATION, network.with_length(i, j, BAR_SIGMA_MM))
 
 
 def near_reflectors(network: Network) -> Iterator[Remedy]:

@@ -13,14 +13,14 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.network import Network
-from ltsim.adjustment.remedies.remedy import advice, known_length, near_reflectors, other_face, returns
+from ltsim.adjustment.remedies.remedy import advice, calibrated_length, near_reflectors, other_face, returns
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.physics.model.construction import Construction
 
 DETERMINED = 0.5
 """Least gain of a determined combination."""
-SILENT = 0.01
+UNINFORMATIVE = 0.01
 """Combinations with less gain than this are alike: any rotation among them is as good, a simple one is shown."""
 SHOWN = 0.1
 """Smallest coefficient that is named."""
@@ -55,12 +55,12 @@ def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
     `covariance` (p, p) is that after the adjustment, priors included.
     """
     gain, vectors = gains(covariance, prior_sigma)
-    silent = gain < SILENT
+    silent = gain < UNINFORMATIVE
     vectors = np.concatenate([simple_rotation(vectors[:, silent]), vectors[:, ~silent]], axis=1)
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled, vectors)
-    found = [Direction(vectors[:, i], float(max(gain[i], 0.0))) for i in np.flatnonzero(gain < DETERMINED)]
-    return sorted(found, key=lambda direction: direction.gain)
+    combinations = [Direction(vectors[:, i], float(max(gain[i], 0.0))) for i in np.flatnonzero(gain < DETERMINED)]
+    return sorted(combinations, key=lambda direction: direction.gain)
 
 
 def simple_rotation(vectors: Floats, steps: int = 200) -> Floats:
@@ -77,8 +77,8 @@ def simple_rotation(vectors: Floats, steps: int = 200) -> Floats:
     for _ in range(steps):
         turned = vectors @ rotation
         cubic = turned**3 - turned * np.mean(turned**2, axis=0)
-        left, spread, right = np.linalg.svd(vectors.T @ cubic)
-        rotation = left @ right
+        u, spread, right = np.linalg.svd(vectors.T @ cubic)
+        rotation = u @ right
         total = float(spread.sum())
         if total < before * (1 + 1e-9):
             break
@@ -98,12 +98,12 @@ def determining(
         return [[] for _ in directions]
     network = Network.of(adjustment, construction)
     now = _gains_along(network, directions)
-    cheap = [r for r in (other_face(network), *known_length(network)) if r]
+    cheap = [r for r in (other_face(network), *calibrated_length(network)) if r]
     worth = chain(cheap, returns(network, 0.0, [0]), near_reflectors(network))  # the cheapest first
     tried = [(r.words, _gains_along(r.network, directions)) for r in worth]
     return [
-        [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(own)]
-        for i, own in enumerate(directions)
+        [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(combinations)]
+        for i, combinations in enumerate(directions)
     ]
 
 
@@ -112,10 +112,10 @@ def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) ->
     try:
         covariance, prior = network.parameter_covariance()
     except NetworkError:
-        return [[0.0 for _ in own] for own in directions]
+        return [[0.0 for _ in combinations] for combinations in directions]
     return [
-        [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in own]
-        for block, sigma, own in zip(covariance, prior, directions, strict=True)
+        [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in combinations]
+        for block, sigma, combinations in zip(covariance, prior, directions, strict=True)
     ]
 
 

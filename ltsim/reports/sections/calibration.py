@@ -165,8 +165,8 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     if content.correction is not None and content.correction.uncorrected_um > 0:
         lines = [content.correction.line, *content.correction.sentences]
         blocks.append(Notes("Benefit of the calibration", [sentence(line) for line in lines]))
-    if content.lost_targets:
-        text = f"The readings that remain do not determine {', '.join(content.lost_targets)}."
+    if content.undetermined_targets:
+        text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
     blocks += table_block("Outlying readings", OUTLIERS.filled(content.outliers))
     note = "Factor: estimated over stated standard deviation; typical sigma: median over the readings."

@@ -18,7 +18,7 @@ from ltsim.adjustment.fieldcheck import Check, check, check_file
 from ltsim.adjustment.fieldcheck.check import best_bump
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation
 from ltsim.adjustment.fieldcheck.words import plain
-from ltsim.adjustment.reliability import surprise
+from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
 from ltsim.cli.options import ReadingOptions
@@ -328,10 +328,10 @@ def test_answers_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_surprise_far_out() -> None:
     """The tail that a float cannot hold continues the one that it can, for every rank."""
     for rank in (1, 2, 3, 6):
-        near = surprise(np.array([590.0, 599.9, 600.1, 610.0]), np.full(4, rank))
+        near = neg_log_p_chi2(np.array([590.0, 599.9, 600.1, 610.0]), np.full(4, rank))
         np.testing.assert_allclose(near, -stats.chi2.logsf([590.0, 599.9, 600.1, 610.0], rank), rtol=1e-5)
-        assert np.isfinite(surprise(1e9, rank))
-    assert surprise(10.0, 0) == 0.0
+        assert np.isfinite(neg_log_p_chi2(1e9, rank))
+    assert neg_log_p_chi2(10.0, 0) == 0.0
 
 
 def test_numbers_are_written_out() -> None:
@@ -435,5 +435,5 @@ def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -
 @pytest.mark.parametrize(("scenario", "seed"), [("paper-workshop-two-face", 5), ("paper-workshop", 13)])
 def test_what_an_uncalibrated_instrument_does_to_near_targets_is_no_scatter_of_theirs(scenario: str, seed: int) -> None:
     recording, _ = lt.simulate(scenario, seed=seed)
-    assert len(adjust(recording).restless[0])
+    assert len(adjust(recording).noisy_targets[0])
     assert check(recording).passed

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.fieldcheck.check import LEVEL
 from ltsim.adjustment.fieldcheck.network import RARE
+from ltsim.adjustment.quality import warnings_of
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import stream
@@ -88,7 +88,7 @@ def agreed(way: Break, seed: int) -> str:
     broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
     said = words(lt.adjust, broken)
     if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
-        (doubt,) = doubts(lt.adjust(broken).adjustment)
+        (doubt,) = warnings_of(lt.adjust(broken).adjustment)
         assert way is on_a_line
         assert "hold its pose so weakly" in doubt
         assert "hold its pose so weakly" in calibrate_network(broken, advise=False).verdict.sentence

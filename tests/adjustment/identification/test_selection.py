@@ -13,7 +13,7 @@ from ltsim.adjustment.identification import Network, Selection, outcomes, select
 from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.fit import changed_recording
 from ltsim.adjustment.robust import robust_state
-from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import robust_align
@@ -198,7 +198,7 @@ def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> No
     points = control.points.copy()
     points[1] += 5.0
     bent = replace(wrong, control=replace(control, points=points))
-    positions, rotations, targets = reached_network(recording)[0]
+    positions, rotations, targets = initial_network(recording)[0]
     start = replace(truth.state, position=positions, rotation=rotations, points=targets, instrument=np.zeros((1, 16)))
     state, _ = robust_state(bent, start)
     assert np.allclose(state.points, truth.state.points, atol=2e-4)

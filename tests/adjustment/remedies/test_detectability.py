@@ -7,7 +7,13 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment.reliability import POWER, noncentrality, single_level
-from ltsim.adjustment.remedies.detectability import LEVEL, detectability, examine, likeness, search_noncentrality
+from ltsim.adjustment.remedies.detectability import (
+    LEVEL,
+    detectability,
+    examine,
+    explained_fraction,
+    search_noncentrality,
+)
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
@@ -92,7 +98,7 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     first, second = examine(space, [HeadSag()]), examine(space, [ElevationEccentricity()])
     assert first is not None
     assert second is not None
-    assert likeness(first, second) > 0.999
+    assert explained_fraction(first, second) > 0.999
 
 
 def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
@@ -101,8 +107,8 @@ def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
     step = examine(SPACE, [RangeStep(stations=("S1",))])
     assert weather is not None
     assert step is not None
-    assert likeness(weather, weather) == pytest.approx(1.0, abs=1e-9)
-    assert 0.5 < likeness(step, weather) < 1.0
+    assert explained_fraction(weather, weather) == pytest.approx(1.0, abs=1e-9)
+    assert 0.5 < explained_fraction(step, weather) < 1.0
     found = detectability(INFORMATION.adjustment, [StationWeather, HeadSag])
     assert found.names == tuple(s.name for s in found.effects if any(c.size for c in s.columns))
     assert all(share > 0.9 for _, _, share in found.confusable())

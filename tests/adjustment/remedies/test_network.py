@@ -14,8 +14,8 @@ from ltsim.adjustment.remedies.network import Network
 from ltsim.adjustment.remedies.next_measurement import next_measurement
 from ltsim.adjustment.remedies.remedy import (
     ADVICE,
+    calibrated_length,
     further_pointings,
-    known_length,
     near_reflectors,
     other_ways,
     returns,
@@ -45,7 +45,7 @@ def test_a_planned_network_knows_what_a_measured_one_knows(measured: Network) ->
 def test_a_longer_network_never_knows_less(measured: Network) -> None:
     before = measured.adjustment.instrument_covariance
     for remedy in [
-        *other_ways(measured), *known_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+        *other_ways(measured), *calibrated_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
     ]:  # fmt: skip
         after = remedy.network.adjustment.instrument_covariance
         scale = np.sqrt(np.outer(np.diag(before), np.diag(before)))
@@ -74,7 +74,7 @@ def test_every_way_of_measuring_on_has_its_sentence(measured: Network) -> None:
     blank = re.compile(r"\\\{[^}]*\\\}")
     patterns = {key: blank.sub("(.+)", re.escape(text)) for key, text in ADVICE.items()}
     tried = [
-        *other_ways(measured), *known_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+        *other_ways(measured), *calibrated_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
     ]  # fmt: skip
     said = {
         remedy.words: {key for key, text in patterns.items() if re.fullmatch(text, remedy.words)} for remedy in tried

@@ -93,7 +93,7 @@ def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording,
     recording, truth = drifting
     adjustment = adjust(recording, misalignment())
     plan = FloorPlan.of(recording, adjustment.state)
-    assert plan.known
+    assert plan.on_plan
     assert plan.place(adjustment.state.position) == pytest.approx(truth.position, abs=0.1)
     turned = [plan.yaw(rotation) for rotation in adjustment.state.rotation]
     true = np.arctan2(truth.rotation[:, 1, 0], truth.rotation[:, 0, 0])
@@ -157,7 +157,9 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
     found = next_measurement(simulate(made, 2)[0], between=("nest-lift", "outlier", "target-moved"))
     best = found.proposals[0]
     assert max(found.evidence_now.values()) < 5
-    assert best.tells_apart == ("outlier",), "it moved before the last visit, or in it: no pointing of that visit tells"
+    assert best.distinguished == ("outlier",), (
+        "it moved before the last visit, or in it: no pointing of that visit tells"
+    )
     assert not best.decides
     assert best.remedy.words == "measure T14 from S5 3 more times, without touching the reflector"
     assert best.remedy.seconds == pytest.approx(45)

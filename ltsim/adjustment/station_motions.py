@@ -15,7 +15,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.snooping import snooped, without_loose
+from ltsim.adjustment.snooping import drop_undetermined, snoop_readings
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MICROMETRE, MICRORADIAN
@@ -73,28 +73,28 @@ def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
 
     Its price is that of its test, and that of a reading which does not belong the same (as `known` has it).
     """
-    recording, problem, found = adjustment.recording, adjustment.problem, list[Motion]()
+    recording, problem, motions = adjustment.recording, adjustment.problem, list[Motion]()
     blamed = adjustment.rejected.any() or adjustment.outliers(estimated=True)
     if not (adjustment.solution.converged and blamed):
         return ()
     placed = ~problem.structure.unseen[recording.target]
     problem = replace(problem, use=recording.measured & placed[:, None])
     each = critical_w(int(problem.use.sum())) ** 2
-    kept, ended = snooped(problem, adjustment.state)
-    for station in _suspects(problem, kept):
+    accepted, ended = snoop_readings(problem, adjustment.state)
+    for station in _suspects(problem, accepted):
         best: tuple[float, Motion | None, NetworkProblem, NetworkProblem, Solution[State]]
-        best = 0.0, None, problem, kept, ended
+        best = 0.0, None, problem, accepted, ended
         for motion, looks in _motions_of(replace(adjustment, problem=problem), ended.x, station):
             tried, start = _with_motion(problem, ended.x, motion)
-            left, solution = snooped(tried, start)
-            gain = (ended.cost - solution.cost) / max(1.0, solution.cost / max(left.dof, 1))
-            gain += each * (int(left.use.sum()) - int(kept.use.sum()))
+            with_motion, solution = snoop_readings(tried, start)
+            gain = (ended.cost - solution.cost) / max(1.0, solution.cost / max(with_motion.dof, 1))
+            gain += each * (int(with_motion.use.sum()) - int(accepted.use.sum()))
             gain -= float(special.chdtri(len(motion.parameters), FAMILY_LEVEL / (looks * len(recording.stations))))
-            if gain > best[0] and station not in _suspects(tried, left):
-                best = gain, motion, tried, left, solution
-        _, chosen, problem, kept, ended = best
-        found += [chosen] if chosen else []
-    return tuple(found)
+            if gain > best[0] and station not in _suspects(tried, with_motion):
+                best = gain, motion, tried, with_motion, solution
+        _, chosen, problem, accepted, ended = best
+        motions += [chosen] if chosen else []
+    return tuple(motions)
 
 
 def _motions_of(adjustment: Adjustment, state: State, station: int) -> Iterator[tuple[Motion, int]]:
@@ -102,29 +102,31 @@ def _motions_of(adjustment: Adjustment, state: State, station: int) -> Iterator[
     name = adjustment.recording.stations[station]
     yield EvenMotion((name,)), 1
     use = adjustment.problem.use & ~(adjustment.gross & (adjustment.recording.station != station))[:, None]
-    problem = without_loose(replace(adjustment.problem, use=use), state)
+    problem = drop_undetermined(replace(adjustment.problem, use=use), state)
     plain = replace(adjustment, problem=problem, solution=solve(problem, state))
     gaps = [motion for motion in SuddenMotion.candidates(plain.sightings) if motion.stations == (name,)]
     if gaps and plain.solution.converged:
         space = ResidualSpace.of(plain)
-        falls = [space.explained(space.signature(motion))[0] for motion in gaps]
+        falls = [space.chi2_drop(space.signature(motion))[0] for motion in gaps]
         yield gaps[int(np.argmax(falls))], len(gaps)
 
 
-def told_motions(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
+def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
     """Each motion of a station among an adjustment's effects that no cause has, and a sentence on it."""
     first = 0
     for effect in adjustment.effects:
-        own = slice(first, first := first + len(effect.parameters))
+        columns = slice(first, first := first + len(effect.parameters))
         if isinstance(effect, Motion):
-            values, spread = adjustment.state.extra[own], adjustment.extra_covariance[own, own]
+            values, spread = adjustment.state.extra[columns], adjustment.extra_covariance[columns, columns]
             sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
-            parts = " and ".join(_length(values[at] / one, spread[at, at] / one**2, unit) for unit, one, at in sizes)
+            parts = " and ".join(
+                _length(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
+            )
             moved = f"moves while it measures, by {parts} in all"
             if isinstance(effect, SuddenMotion):
-                seen = adjustment.sightings
-                order = seen.order[effect.mask(seen)[seen.order] > 0]
-                at = int(np.searchsorted(seen.time[order], effect.time))
+                sightings = adjustment.sightings
+                order = sightings.order[effect.mask(sightings)[sightings.order] > 0]
+                at = int(np.searchsorted(sightings.time[order], effect.time))
                 moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (
                 effect,
@@ -139,9 +141,9 @@ def _length(vector: Floats, covariance: Floats, unit: str) -> str:
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)
 
 
-def _suspects(problem: NetworkProblem, kept: NetworkProblem) -> list[int]:
+def _suspects(problem: NetworkProblem, accepted: NetworkProblem) -> list[int]:
     """Stations of which readings to several targets do not fit, that of most readings first."""
-    recording, out = problem.model.recording, problem.use & ~kept.use
+    recording, out = problem.model.recording, problem.use & ~accepted.use
     rows = out.any(axis=1)
     pairs = np.unique(np.stack([recording.station[rows], recording.target[rows]]), axis=1)
     targets = np.bincount(pairs[0], minlength=len(recording.stations))

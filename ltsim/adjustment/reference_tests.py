@@ -11,18 +11,25 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reference_values import (
+    Kind,
+    ReferenceRows,
+    ReferenceValue,
+    common_scale,
+    drop_reference,
+    reference_values,
+)
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
     critical_w,
+    neg_log_p_chi2,
     noncentrality,
     normalised,
     redundancy_of,
     scale_of,
     single_level,
-    surprise,
 )
-from ltsim.adjustment.snooping import snooped
-from ltsim.adjustment.stated import Kind, KnownInRows, KnownValue, common_scale, known_values, without
+from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -72,27 +79,27 @@ MOST_OUT = 1 / 3
 
 
 @dataclass(frozen=True)
-class KnownTest(KnownValue):
+class ReferenceTest(ReferenceValue):
     """Test of a known value against the rest of a network."""
 
     error: Floats
     """Estimated error: stated less what the rest says."""
     sigma_error: Floats
     """Its standard deviation; infinite where the rest says nothing."""
-    drop: float
+    chi2_drop: float
     """Fall of chi-square if it were left out."""
     rank: int
     """Number of components that the rest of the network checks."""
-    left_out: bool = False
+    excluded: bool = False
     critical: float = SIGMAS
     """Limit of `w`."""
-    rivals: tuple[str, ...] = ()
+    indistinguishable_from: tuple[str, ...] = ()
     """Other known values that may as well be the wrong one: then all of them are kept."""
 
     @property
     def w(self) -> float:
         """Root of the fall of chi-square: the normalised residual of a single component."""
-        return float(np.sqrt(self.drop))
+        return float(np.sqrt(self.chi2_drop))
 
     @property
     def is_height(self) -> bool:
@@ -102,7 +109,7 @@ class KnownTest(KnownValue):
         return bool(plan) and height > SIGMAS * self.sigma_error[-1] and all(map(float.__lt__, plan, small))
 
     @property
-    def off(self) -> str:
+    def error_text(self) -> str:
         """By how much it is wrong, in words."""
         size = float(np.linalg.norm(self.error))
         along = self.error / size if size else np.zeros(len(self.error))
@@ -115,24 +122,27 @@ class KnownTest(KnownValue):
         """Sentence on a known value that contradicts the rest of the network."""
         what = f"{WORDS[self.kind]} {self.name}"
         if self.kind == "mark":
-            mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
+            mark = (
+                f"the mark of {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else "its mark"
+            )
             where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
             where, cause = (where, f" (its height is stated too {cause})") if self.is_height else ("beside", "")
             end = f"{mark}{cause} (w = {self.w:.3g}): given a place of its own"
-            return f"set-up {self.name} stands {self.off} {where} {end}"
+            return f"set-up {self.name} stands {self.error_text} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "a temperature, an expansion or the scale of the ranges is not what is stated"
-            kept = "; the scale is that of the ranges, and lengths count by their ratios" if self.left_out else ""
-            return f"{self.name} are {self.off} too {more} (w = {self.w:.3g}), or all ranges too {less}: {causes}{kept}"
-        if self.rivals:
-            both = ", ".join((self.name, *self.rivals))
-            return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
+            remark = "; the scale is that of the ranges, and lengths count by their ratios" if self.excluded else ""
+            contradiction = f"{self.name} are {self.error_text} too {more} (w = {self.w:.3g}), or all ranges too {less}"
+            return f"{contradiction}: {causes}{remark}"
+        if self.indistinguishable_from:
+            both = ", ".join((self.name, *self.indistinguishable_from))
+            return f"{both} contradict each other ({what} by {self.error_text}) and nobody can tell which is wrong"
         rest = "by what the others say: left out of the datum" if self.kind == "axes" else "not its readings: left out"
-        if self.under and self.is_height:
-            rest = f"or the height of set-up {self.under} over it: left out"
+        if self.occupied_by and self.is_height:
+            rest = f"or the height of set-up {self.occupied_by} over it: left out"
         verb = "are" if self.kind in ("point", "axes") else "is"
-        return f"{what} {verb} off by {self.off} (w = {self.w:.3g}), {rest}"
+        return f"{what} {verb} off by {self.error_text} (w = {self.w:.3g}), {rest}"
 
     @property
     def redundancy(self) -> Floats:
@@ -145,7 +155,7 @@ class KnownTest(KnownValue):
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
 
 
-def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
+def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
     """The problem with what is said to be exact known as well as `FINEST` of a reading, so that it can be tested."""
     if not problem.use.any():
         return problem
@@ -153,42 +163,42 @@ def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
     sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = FINEST * float(np.median(sizes[problem.use]))
     turn = floor / float(np.median(range_[problem.use.any(axis=1)]))
-    floors = {"control": floor, "known_marks": floor, "differences": floor, "levels": turn, "yaws": turn}
+    floors = {"control": floor, "mark_control": floor, "differences": floor, "levels": turn, "yaws": turn}
     tested = {name: getattr(problem, name).no_finer(least) for name, least in floors.items()}
     exact = any(tested[name] is not getattr(problem, name) for name in floors)
     return replace(problem, **tested) if exact else problem
 
 
-def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
+def reference_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[ReferenceTest]:
     """The test of each known value of an adjustment; of those with a residual of `least`, and of all lengths alike."""
     if not least and solution.factor is not None:
-        problem, given = loosened(problem, solution.x), problem
+        problem, given = relaxed_references(problem, solution.x), problem
         solution = solution if problem is given else solve(problem, solution.x)
     if solution.factor is None:
         return []
     residual, tests = problem.residual(solution.x), []
-    values = [v for v in known_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
+    values = [v for v in reference_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
     values += common_scale(problem, solution.x) if least else []
-    for some in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
-        inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in some])
+    for batch in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
+        inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in batch])
         response, first = solution.factor.covariance_columns(inside), 0
-        for value in some:
-            own = slice(first, first := first + value.signature.shape[1])
-            left = value.signature.T @ value.signature - inside[:, own].T @ response[:, own]
-            tests.append(_test(value, left, value.signature.T @ residual[value.rows]))
+        for value in batch:
+            columns = slice(first, first := first + value.signature.shape[1])
+            gram = value.signature.T @ value.signature - inside[:, columns].T @ response[:, columns]
+            tests.append(_test(value, gram, value.signature.T @ residual[value.rows]))
     return tests
 
 
-def _test(value: KnownInRows, left: Floats, pull: Floats) -> KnownTest:
+def _test(value: ReferenceRows, gram: Floats, pull: Floats) -> ReferenceTest:
     """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
     size = np.where(size > UNFELT * size.max(), size, np.inf)  # no reading feels the height of a mark in a plan
-    share, turned = np.linalg.eigh(left / np.outer(size, size))
+    share, turned = np.linalg.eigh(gram / np.outer(size, size))
     checked = share > CHECKED
     share, turned = share[checked], turned[:, checked]
     along, back = turned.T @ (pull / size), turned / size[:, None]
     sure = np.sum(turned**2, axis=1) > 0.5
-    return KnownTest(
+    return ReferenceTest(
         value.kind,
         value.name,
         value.axes,
@@ -198,109 +208,115 @@ def _test(value: KnownInRows, left: Floats, pull: Floats) -> KnownTest:
         np.where(sure, np.sqrt(np.sum(back**2 / share, axis=1)), np.inf),
         float(np.sum(along**2 / share)),
         int(checked.sum()),
-        under=value.under,
+        occupied_by=value.occupied_by,
     )
 
 
-def judged(
+def snoop_references(
     problem: NetworkProblem,
     solution: Solution[State],
     kinds: Collection[Kind] = KINDS,
-    spared: frozenset[tuple[Kind, str]] = frozenset(),
-) -> tuple[NetworkProblem, Solution[State], tuple[KnownTest, ...]]:
+    exempt: frozenset[tuple[Kind, str]] = frozenset(),
+) -> tuple[NetworkProblem, Solution[State], tuple[ReferenceTest, ...]]:
     """The problem without the known values that contradict the rest, its solution, and what contradicts.
 
     One at a time, by the fall of chi-square; single readings that explain more are set aside while the rest is judged.
     """
-    given, aside = (problem, solution), loosened(problem, solution.x)
-    out: list[KnownTest] = []
+    given, aside = (problem, solution), relaxed_references(problem, solution.x)
+    out: list[ReferenceTest] = []
     by_far: tuple[NetworkProblem, Solution[State], int] | None = None
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
-        found = _most_suspect(aside, solution, kinds, spared)
-        if found is None:
+        suspect = _most_significant(aside, solution, kinds, exempt)
+        if suspect is None:
             break
-        if isinstance(found, KnownTest):
-            out.append(found)
-            if not found.left_out:
+        if isinstance(suspect, ReferenceTest):
+            out.append(suspect)
+            if not suspect.excluded:
                 break
-            model = replace(aside.model, recording=without(aside.model.recording, found))
-            aside = loosened(aside.on(model), solution.x)
+            model = replace(aside.model, recording=drop_reference(aside.model.recording, suspect))
+            aside = relaxed_references(aside.on(model), solution.x)
         else:
-            aside = replace(aside, use=aside.use & ~found)
+            aside = replace(aside, use=aside.use & ~suspect)
         solution = solve(aside, solution.x)
         if by_far is None and out and solution.cost < BY_FAR * given[1].cost and not _too_many(*given, out):
             by_far = problem.on(aside.model), solution, len(out)
-    gone = [test for test in out if test.left_out]
+    gone = [test for test in out if test.excluded]
     too_many = solution.factor is None or _too_many(*given, gone)
     if too_many and by_far is not None:
-        kept, near, count = by_far
-        kept, ended, more = judged(kept, solve(kept, near.x), kinds, spared)
-        return kept, ended, (*_in_the_end(out[:count], problem, ended.x), *more)
+        reduced, near, count = by_far
+        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), kinds, exempt)
+        return reduced, ended, (*_with_final_errors(out[:count], problem, ended.x), *more)
     if too_many:
-        return *given, _each_other(gone, known_tests(*given))
+        return *given, _mutual_contradiction(gone, reference_tests(*given))
     if not gone:
         return *given, tuple(out)
-    kept = problem.on(aside.model)
-    ended = solve(kept, solution.x)
-    others = {kind: [test for test in known_tests(kept, ended) if test.kind == kind] for kind in {t.kind for t in gone}}
-    weak = [test for test in gone if test.w < SIGMAS * _usual(others[test.kind])]
+    reduced = problem.on(aside.model)
+    ended = solve(reduced, solution.x)
+    others = {
+        kind: [test for test in reference_tests(reduced, ended) if test.kind == kind] for kind in {t.kind for t in gone}
+    }
+    weak = [test for test in gone if test.w < SIGMAS * _typical_error(others[test.kind])]
     if weak:
-        contradictory = _each_other(weak, [*weak, *(test for some in others.values() for test in some)])
-        again = spared | {(test.kind, test.name) for test in weak}
-        return (*given, contradictory) if contradictory else judged(*given, kinds, again)
-    if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
+        contradictory = _mutual_contradiction(weak, [*weak, *(test for group in others.values() for test in group)])
+        again = exempt | {(test.kind, test.name) for test in weak}
+        return (*given, contradictory) if contradictory else snoop_references(*given, kinds, again)
+    if min(test.w for test in gone) < PLAIN and _penalised_chi2(reduced, ended, gone) >= _penalised_chi2(
+        problem, given[1], ()
+    ):
         return *given, ()
-    return kept, ended, tuple(_in_the_end(out, problem, ended.x))
+    return reduced, ended, tuple(_with_final_errors(out, problem, ended.x))
 
 
-def _in_the_end(tests: Sequence[KnownTest], problem: NetworkProblem, state: State) -> Iterator[KnownTest]:
+def _with_final_errors(
+    tests: Sequence[ReferenceTest], problem: NetworkProblem, state: State
+) -> Iterator[ReferenceTest]:
     """The tests of known values, with what those left out are off by at the state without them."""
     names, marks = problem.model.recording.stations, problem.marks
-    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, state), *common_scale(problem, state))}
+    off = {(v.kind, v.name): v.residual for v in (*reference_values(problem, state), *common_scale(problem, state))}
     for test in tests:
-        if test.left_out and test.kind == "mark":
-            own = names.index(test.name)
-            yield replace(test, error=marks.place(own, state.position, state.points) - state.position[own])
-        elif test.left_out:
+        if test.excluded and test.kind == "mark":
+            station = names.index(test.name)
+            yield replace(test, error=marks.place(station, state.position, state.points) - state.position[station])
+        elif test.excluded:
             yield replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
         else:
             yield test
 
 
-def _each_other(wrong: Sequence[KnownTest], every: Sequence[KnownTest]) -> tuple[KnownTest, ...]:
+def _mutual_contradiction(wrong: Sequence[ReferenceTest], every: Sequence[ReferenceTest]) -> tuple[ReferenceTest, ...]:
     """The first of some wrong known values beside those that contradict it, where there are too few to judge them."""
     for test in wrong:
-        alike = [other for other in every if other.kind == test.kind and other.name != test.name]
-        if 0 < len(alike) < USUAL and (rivals := tuple(other.name for other in alike if other.w > SIGMAS)):
-            return (replace(test, left_out=False, rivals=rivals),)
+        others = [other for other in every if other.kind == test.kind and other.name != test.name]
+        if 0 < len(others) < USUAL and (rivals := tuple(other.name for other in others if other.w > SIGMAS)):
+            return (replace(test, excluded=False, indistinguishable_from=rivals),)
     return ()
 
 
-def _usual(tests: Sequence[KnownTest]) -> float:
+def _typical_error(tests: Sequence[ReferenceTest]) -> float:
     """Usual size of the errors of known values of a kind, in declared standard deviations; at least 1."""
-    return float(np.sqrt(max(1.0, sum(t.drop for t in tests) / max(sum(t.rank for t in tests), 1))))
+    return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
-def _price(problem: NetworkProblem, solution: Solution[State], gone: Sequence[KnownTest]) -> float:
+def _penalised_chi2(problem: NetworkProblem, solution: Solution[State], gone: Sequence[ReferenceTest]) -> float:
     """Chi-square without the readings that do not belong, and what each of these and of the known values `gone` costs.
 
     What one known value explains, a few readings may explain as well: each is paid for as its own test asks for.
     """
-    kept, ended = snooped(problem, solution.x)
+    accepted, ended = snoop_readings(problem, solution.x)
     readings = int(problem.use.sum())
-    count = len(list(known_values(problem, solution.x))) + len(gone)
+    count = len(list(reference_values(problem, solution.x))) + len(gone)
     paid = sum(float(special.chdtri(test.rank, single_level(count, FAMILY_LEVEL))) for test in gone)
-    return ended.cost + paid + critical_w(readings) ** 2 * (readings - int(kept.use.sum()))
+    return ended.cost + paid + critical_w(readings) ** 2 * (readings - int(accepted.use.sum()))
 
 
-def _most_suspect(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], spared: Collection[tuple[Kind, str]]
-) -> KnownTest | Bools | None:
+def _most_significant(
+    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], exempt: Collection[tuple[Kind, str]]
+) -> ReferenceTest | Bools | None:
     """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
-    tests = [test for test in known_tests(problem, solution, FELT) if test.kind in {*kinds, "scale"} and test.rank]
-    tests = [test for test in tests if (test.kind, test.name) not in spared]
+    tests = [test for test in reference_tests(problem, solution, FELT) if test.kind in {*kinds, "scale"} and test.rank]
+    tests = [test for test in tests if (test.kind, test.name) not in exempt]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None
@@ -308,38 +324,38 @@ def _most_suspect(
     w = normalised(problem, problem.residuals(problem.model.predict(solution.x)), redundancy)
     shown = scale_of(w, redundancy)
 
-    def noise(test: KnownTest) -> float:
-        healed = np.sqrt(max(solution.cost - test.drop, 0.0) / max(problem.dof - test.rank, 1))
+    def noise(test: ReferenceTest) -> float:
+        healed = np.sqrt(max(solution.cost - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
         return max(1.0, min(shown, float(healed)))
 
     def unlikely(drop: float, rank: int, looks: int) -> float:
-        return float(surprise(drop, rank)) - float(np.log(looks))
+        return float(neg_log_p_chi2(drop, rank)) - float(np.log(looks))
 
-    count = len(list(known_values(problem, solution.x)))
-    chances = [unlikely(test.drop / noise(test) ** 2, test.rank, count) for test in tests]
+    count = len(list(reference_values(problem, solution.x)))
+    chances = [unlikely(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
     best = int(np.argmax(chances))
     chance, scatter = chances[best], noise(tests[best])
-    scaled = tests[best].drop / scatter**2
+    scaled = tests[best].chi2_drop / scatter**2
     if scaled < max(SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
     if unlikely(reading**2, 1, int(problem.use.sum())) <= chance:
-        alike = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(RIVAL)]
-        if len(alike) > 1 and tests[best].kind == "level":
+        likely = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(RIVAL)]
+        if len(likely) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":
-            return replace(tests[best], left_out="scale" in kinds)
-        marks = all(tests[k].kind == "mark" for k in alike)  # Either way they stand apart: the later one goes.
-        chosen = alike[-1] if marks else best
-        rivals = tuple(tests[k].name for k in alike if k != chosen)
-        return replace(tests[chosen], left_out=marks or not rivals, rivals=rivals)
+            return replace(tests[best], excluded="scale" in kinds)
+        marks = all(tests[k].kind == "mark" for k in likely)  # Either way they stand apart: the later one goes.
+        chosen = likely[-1] if marks else best
+        rivals = tuple(tests[k].name for k in likely if k != chosen)
+        return replace(tests[chosen], excluded=marks or not rivals, indistinguishable_from=rivals)
     aside = np.zeros(w.shape, dtype=bool)
     aside.flat[worst] = True
     return aside
 
 
-def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[KnownTest]) -> bool:
-    every = [value.kind for value in known_values(problem, solution.x)]
+def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[ReferenceTest]) -> bool:
+    every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in out]
     return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)

@@ -14,7 +14,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import UNKNOWN_PPM
 
 Kind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
-UNSAID: dict[str, dict[str, object]] = {
+CLEARED: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
@@ -23,7 +23,7 @@ UNSAID: dict[str, dict[str, object]] = {
 
 
 @dataclass(frozen=True)
-class KnownValue:
+class ReferenceValue:
     """A point, difference, length or level, all lengths, or that a set-up stands on its mark.
 
     Arrays are (q,) [m, rad or 1], a component each.
@@ -38,12 +38,12 @@ class KnownValue:
     """Stated standard deviation."""
     residual: Floats
     """Stated less adjusted."""
-    under: str = field(default="", kw_only=True)
+    occupied_by: str = field(default="", kw_only=True)
     """The set-up that stands over a point which nothing else shows."""
 
 
 @dataclass(frozen=True)
-class KnownInRows(KnownValue):
+class ReferenceRows(ReferenceValue):
     """A known value in the rows of an adjustment."""
 
     rows: Ints
@@ -52,7 +52,7 @@ class KnownInRows(KnownValue):
     """(r, q): what an error of 1 [m, rad] in each component does to them."""
 
 
-def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
+def reference_values(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
     """The known values of a problem, in the order of its rows."""
     recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
     shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
@@ -60,48 +60,48 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]
         name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
         reached = np.flatnonzero(shown[:, i])
         column = shown[reached, i : i + 1]
-        yield KnownInRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
+        yield ReferenceRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
-    points, marks, apart = problem.control, problem.known_marks, problem.differences
+    points, marks, differences = problem.control, problem.mark_control, problem.differences
     at, on, names = points.target, marks.target, problem.marks.names
     by_name: tuple[tuple[Kind, ControlRows, list[str], Sequence[str], Floats], ...] = (
         ("point", points, [recording.targets[t] for t in at], (), state.points[at]),
         ("point", marks, [names[s] for s in on], recording.stations, state.position[on]),
-        ("difference", apart, [*apart.names], (), apart.apart(state.points, state.position)),
+        ("difference", differences, [*differences.names], (), differences.predict(state.points, state.position)),
     )
-    for kind, known, called, under, here in by_name:
-        for i, place in enumerate(known.target.tolist()):
-            axes = known.axes[i]
-            root = known.root[i][np.ix_(axes, axes)]
+    for kind, controls, called, under, here in by_name:
+        for i, place in enumerate(controls.target.tolist()):
+            axes = controls.axes[i]
+            root = controls.root[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
-            said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
+            given_axes = "".join(axis for axis, is_axis in zip("xyz", axes, strict=True) if is_axis)
             rows = first + np.arange(len(root))
-            gap, over = (known.points[i] - here[i])[axes], under[place] if under else ""
-            yield KnownInRows(kind, called[i], said, sigma, gap, rows, root, under=over)
+            gap, over = (controls.points[i] - here[i])[axes], under[place] if under else ""
+            yield ReferenceRows(kind, called[i], given_axes, sigma, gap, rows, root, occupied_by=over)
             first += len(root)
     tilts = -problem.levels.predict(state.rotation)
     for i, station in enumerate(problem.levels.station.tolist()):
         sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
-        yield KnownInRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
+        yield ReferenceRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
     gap, first = problem.yaws.residual(state.rotation), problem.level_rows.stop
     for i, station in enumerate(problem.yaws.station.tolist()):
         sigma = problem.yaws.sigma[i : i + 1]
         rows = np.array([first + i])
-        yield KnownInRows("yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None])
+        yield ReferenceRows("yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None])
     yield from _centrings(problem, state)
 
 
-def common_scale(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
+def common_scale(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
     """Common scale of all known lengths, if there are several: their temperature, and their reference standard."""
     gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
     if felt.sum() > 1:
         shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
         weight, gap = float(np.sum(shown**2)), gauge.whitened(np.where(felt, problem.length_residuals(state), 0.0))
         rows, sigma = int(problem.use.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
-        yield KnownInRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
+        yield ReferenceRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
 
 
-def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
+def _centrings(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
     """Set-ups over marks that something else shows too: each is said to stand there exactly."""
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
@@ -110,25 +110,25 @@ def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
     number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
     by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
     for s in np.flatnonzero(shared).tolist():
-        own = problem.use & (recording.station == s)[:, None]
-        if own.any():
+        readings = problem.use & (recording.station == s)[:, None]
+        if readings.any():
             name = recording.stations[s]
-            yield KnownInRows("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
+            yield ReferenceRows("mark", name, "xyz", np.zeros(3), np.zeros(3), number[readings], -by_place[readings])
 
 
-def without(recording: Recording, test: KnownValue) -> Recording:
+def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
     """The recording whose set-up does not state one known value."""
     setup, name = recording.setup, test.name
     if test.kind in ("length", "scale"):
-        left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
-        unsaid: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": left}
-        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=unsaid)}
+        lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
+        cleared: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": lengths}
+        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif test.kind == "difference":
-        change = {"differences": tuple(one for one in setup.differences if one.called != name)}
-    elif test.kind in UNSAID:
-        unsaid = UNSAID[test.kind]
-        change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
+        change = {"differences": tuple(difference for difference in setup.differences if difference.called != name)}
+    elif test.kind in CLEARED:
+        cleared = CLEARED[test.kind]
+        change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
-        unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
-        change = {"targets": setup.targets | {name: setup.targets[name].model_copy(update=unsaid)}}
+        cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
+        change = {"targets": setup.targets | {name: setup.targets[name].model_copy(update=cleared)}}
     return recording.replace(setup=setup.model_copy(update=change))

@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.blunders import CLOSE, correct_units, detect_blunders
+from ltsim.adjustment.centring import centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
-from ltsim.adjustment.gross import CLOSE, mend_stations, mistakes
-from ltsim.adjustment.moving import told_motions
-from ltsim.adjustment.occupations import moved_tripods
+from ltsim.adjustment.station_motions import motion_sentences
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import listing
@@ -19,7 +19,7 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
 from ltsim.recordings.transcription_errors import GON, UNIT_ERRORS, TranscriptionError
 
-MOST_LEFT_OUT = 0.5
+MAX_UNUSED = 0.5
 """Share of the pointings that may be left out before what remains is no result."""
 FITS = 0.1
 """Share of them that may still be left out where another unit is said to fit."""
@@ -27,7 +27,7 @@ CONTRADICTION = 100.0
 """sigma0 from which a covariance, which is linear in small errors, states nothing."""
 HEALED = 0.1
 """Ratio of sigma0 without the known points to that with them, from which on these are what contradicts."""
-FEW_KEPT = 0.5
+MIN_USED = 0.5
 """Share of its pointings that a station keeps, below which its place is in doubt."""
 MOST_NAMED = 4
 LEAST_PLACES = 3
@@ -49,38 +49,38 @@ SLIPS = (
 """Mistakes of unit or convention in a whole file; none that shrinks lengths, for then any network seems to fit."""
 
 
-def require_result(adjustment: Adjustment) -> None:
+def require_usable(adjustment: Adjustment) -> None:
     """NetworkError where most of the recording was left out, or where what is known contradicts the readings.
 
     ConvergenceError where there is no solution.
     """
-    _require_one_sense(adjustment)
+    _require_consistent_units(adjustment)
     adjustment.require_solution()
-    _require_known_points(adjustment)
-    left_out = _left_out(adjustment)
-    lost = left_out.sum() > MOST_LEFT_OUT * len(left_out)
+    _require_consistent_control(adjustment)
+    unused = _unused(adjustment)
+    lost = unused.sum() > MAX_UNUSED * len(unused)
     fits = _unit_that_fits(adjustment) if lost or adjustment.sigma0 > CONTRADICTION else ""
     if lost or fits:
-        out = f"{left_out.sum()} of {len(left_out)} pointings would be left out"
+        out = f"{unused.sum()} of {len(unused)} pointings would be left out"
         what = out if lost else f"sigma0 is {adjustment.sigma0:.3g}"
         cure = f"they fit as {fits}" if fits else "check units, sense of the angles and names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
 
 
-def _require_one_sense(adjustment: Adjustment) -> None:
+def _require_consistent_units(adjustment: Adjustment) -> None:
     """NetworkError where a whole set-up was recorded in another unit or sense than the others."""
     thin = next(_thin_stations(adjustment), "")
     if thin or not adjustment.solution.converged or adjustment.sigma0 > CONTRADICTION:
-        told = [finding.sentence.rstrip(".") for finding in mend_stations(adjustment.recording)[1]]
-        if told:
-            told_first = "; ".join(told[:MOST_NAMED])
-            raise NetworkError(f"{told_first}: read again with what it says, then nothing contradicts")
+        sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]
+        if sentences:
+            first_sentences = "; ".join(sentences[:MOST_NAMED])
+            raise NetworkError(f"{first_sentences}: read again with what it says, then nothing contradicts")
 
 
-def _require_known_points(adjustment: Adjustment) -> None:
+def _require_consistent_control(adjustment: Adjustment) -> None:
     """NetworkError where the readings agree with each other as soon as the known points are left out."""
-    known, recording = adjustment.problem.control, adjustment.recording
-    if not (adjustment.sigma0 > CONTRADICTION and len(known)):
+    control, recording = adjustment.problem.control, adjustment.recording
+    if not (adjustment.sigma0 > CONTRADICTION and len(control)):
         return
     unknown = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     setup = recording.setup.model_copy(update={"targets": unknown})
@@ -90,11 +90,11 @@ def _require_known_points(adjustment: Adjustment) -> None:
         return
     if not (alone.solution.converged and alone.sigma0 < HEALED * adjustment.sigma0):
         return
-    gap = 1e3 * float(np.abs(adjustment.state.points[known.target] - known.points).max())
-    whole = known.axes.all(axis=1)
+    gap = 1e3 * float(np.abs(adjustment.state.points[control.target] - control.points).max())
+    whole = control.axes.all(axis=1)
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest miss {gap:.3g} mm): {_how(alone.state.points[known.target[whole]], known.points[whole])}"
+        f"largest miss {gap:.3g} mm): {_how(alone.state.points[control.target[whole]], control.points[whole])}"
     )
 
 
@@ -122,7 +122,7 @@ def _miss(source: Floats, goal: Floats) -> float:
         return float("inf")
 
 
-def _left_out(adjustment: Adjustment) -> Bools:
+def _unused(adjustment: Adjustment) -> Bools:
     """(m,) Of the pointings that were measured, those of which nothing is in use."""
     measured, used = np.asarray(adjustment.recording.measured.any(axis=1)), adjustment.problem.use.any(axis=1)
     return ~np.asarray(used)[measured]
@@ -135,10 +135,10 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
         most = HEALED * adjustment.sigma0
     for slip in SLIPS:
         try:
-            found = adjust(recording.with_readings(slip.corrected(recording.readings)))
+            adjusted = adjust(recording.with_readings(slip.corrected(recording.readings)))
         except LtsimError:
             continue
-        if found.solution.converged and found.sigma0 < most and _left_out(found).mean() < FITS:
+        if adjusted.solution.converged and adjusted.sigma0 < most and _unused(adjusted).mean() < FITS:
             return f"{slip.content}, not {slip.expected}"
     return ""
 
@@ -146,26 +146,28 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
 # --- in doubt -----------------------------------------------------------------------------------------------------
 
 
-def doubts(adjustment: Adjustment) -> tuple[str, ...]:
+def warnings_of(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
     slips = _undecided, _mistakes, _two_names, _tripods
-    kinds = _causes, _known, _motions, _plan, *slips, _thin_stations, _uncertain_figures, _copies
+    kinds = _causes, _references, _motions, _plan, *slips, _thin_stations, _uncertain_figures, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
-def weaknesses(adjustment: Adjustment) -> tuple[str, ...]:
+def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: those doubts that are no single value or mistake, for which figures of the network mislead."""
     kinds = _plan, _undecided, _thin_stations, _uncertain_figures
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
-def _known(adjustment: Adjustment) -> Iterator[str]:
+def _references(adjustment: Adjustment) -> Iterator[str]:
     """Known values that contradict the rest."""
-    every = (*adjustment.wrong, *adjustment.axes)
-    told = [test.sentence for test in every if test.left_out or test.rivals or test.kind == "scale"]
-    yield from told[:MOST_NAMED]
-    if len(told) > MOST_NAMED:
-        yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
+    every = (*adjustment.rejected_references, *adjustment.axis_tests)
+    sentences = [
+        test.sentence for test in every if test.excluded or test.indistinguishable_from or test.kind == "scale"
+    ]
+    yield from sentences[:MOST_NAMED]
+    if len(sentences) > MOST_NAMED:
+        yield f"{len(sentences) - MOST_NAMED} more known values contradict the rest"
 
 
 def _causes(adjustment: Adjustment) -> Iterator[str]:
@@ -175,25 +177,26 @@ def _causes(adjustment: Adjustment) -> Iterator[str]:
 
 def _motions(adjustment: Adjustment) -> Iterator[str]:
     """Stations that move while they measure."""
-    yield from () if adjustment.causes else (told for _, told in told_motions(adjustment))
+    yield from () if adjustment.causes else (sentence for _, sentence in motion_sentences(adjustment))
 
 
 def _plan(adjustment: Adjustment) -> Iterator[str]:
     """Rough places of upright stations that do not fit the network, or only its mirror image."""
     frame, state = Frame.of(adjustment.recording), adjustment.state
-    known = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
-    if len(known) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
+    planned = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
+    if len(planned) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
         return
-    here, there = state.position[known] * [1.0, 1.0, 0.0], frame.plan[known] * [1.0, 1.0, 0.0]
+    here, there = state.position[planned] * [1.0, 1.0, 0.0], frame.plan[planned] * [1.0, 1.0, 0.0]
     extent = float(np.ptp(here, axis=0).max())
     if extent < ROUGH_PLACE:  # set-ups over one mark
         return
     as_is, mirrored = (
-        float(misses(one, there, upright_alignment(one, there)).max()) for one in (here, here * [1.0, -1.0, 1.0])
+        float(misses(places, there, upright_alignment(places, there)).max())
+        for places in (here, here * [1.0, -1.0, 1.0])
     )
     if as_is < max(ROUGH_PLACE, FAR * extent):
         return
-    names = listing([adjustment.recording.stations[s] for s in known])
+    names = listing([adjustment.recording.stations[s] for s in planned])
     if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):
         yield (
             f"the stated places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
@@ -206,43 +209,43 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
 def _undecided(adjustment: Adjustment) -> Iterator[str]:
     """Targets that only two stations see, of which one or both were left out."""
     recording = adjustment.recording
-    seen, kept = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
-    for table, readings in ((seen, recording.measured), (kept, adjustment.problem.use)):
+    measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
+    for table, readings in ((measured_pairs, recording.measured), (used_pairs, adjustment.problem.use)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
-    two = seen.sum(axis=0) == 2
+    two = measured_pairs.sum(axis=0) == 2
     ends = {1: "its coordinates are those of one of them", 0: "it is left without coordinates"}
     for stations, end in ends.items():
-        names = [recording.targets[t] for t in np.flatnonzero(two & (kept.sum(axis=0) == stations))]
+        names = [recording.targets[t] for t in np.flatnonzero(two & (used_pairs.sum(axis=0) == stations))]
         if names:
             yield f"{listing(names)}: two stations disagree about where it is and nobody can tell which is right; {end}"
 
 
 def _mistakes(adjustment: Adjustment) -> Iterator[str]:
     """Exchanged reflectors, units and faces behind pointings that were left out."""
-    told = [finding.sentence.rstrip(".") for finding, *_ in mistakes(adjustment)]
-    if told:
-        more = f"; {len(told) - MOST_NAMED} more such mistakes" if len(told) > MOST_NAMED else ""
-        yield f"{'; '.join(told[:MOST_NAMED])}{more}: left out here; ltsim diagnose adjusts with them mended"
+    sentences = [finding.sentence.rstrip(".") for finding, *_ in detect_blunders(adjustment)]
+    if sentences:
+        more = f"; {len(sentences) - MOST_NAMED} more such mistakes" if len(sentences) > MOST_NAMED else ""
+        yield f"{'; '.join(sentences[:MOST_NAMED])}{more}: left out here; ltsim diagnose adjusts with them mended"
 
 
 def _two_names(adjustment: Adjustment) -> Iterator[str]:
     """Targets at one place that no set-up sees both of: one target, perhaps, that was booked under two names."""
     recording, points = adjustment.recording, adjustment.state.points
-    seen = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
+    is_sighted = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
     placed = adjustment.problem.use.all(axis=1)
-    seen[recording.target[placed], recording.station[placed]] = True
-    known = np.flatnonzero(seen.any(axis=1))
-    for a, b in KDTree(points[known]).query_pairs(CLOSE, output_type="ndarray"):
-        one, other = known[[a, b]]
-        if not (seen[one] & seen[other]).any():
-            gap = float(np.linalg.norm(points[one] - points[other])) / MILLIMETRE
-            names = f"{recording.targets[one]} and {recording.targets[other]}"
+    is_sighted[recording.target[placed], recording.station[placed]] = True
+    placed_targets = np.flatnonzero(is_sighted.any(axis=1))
+    for a, b in KDTree(points[placed_targets]).query_pairs(CLOSE, output_type="ndarray"):
+        first, second = placed_targets[[a, b]]
+        if not (is_sighted[first] & is_sighted[second]).any():
+            gap = float(np.linalg.norm(points[first] - points[second])) / MILLIMETRE
+            names = f"{recording.targets[first]} and {recording.targets[second]}"
             yield f"{names} lie within {gap:.2g} mm and no set-up sees both: perhaps one target by two names"
 
 
 def _tripods(adjustment: Adjustment) -> Iterator[str]:
-    moved = moved_tripods(adjustment)
+    moved = centring_errors(adjustment)
     if moved is not None:
         yield moved.sentence
 
@@ -252,20 +255,20 @@ def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
     recording, measured = adjustment.recording, adjustment.recording.measured.any(axis=1)
     count = len(recording.stations)
     whole = np.bincount(recording.station[measured], minlength=count)
-    kept = np.bincount(recording.station[adjustment.problem.use.any(axis=1)], minlength=count)
-    for s in np.flatnonzero((kept > 0) & (kept < FEW_KEPT * whole)):
+    used = np.bincount(recording.station[adjustment.problem.use.any(axis=1)], minlength=count)
+    for s in np.flatnonzero((used > 0) & (used < MIN_USED * whole)):
         yield (
-            f"station {recording.stations[s]} keeps {kept[s]} of its {whole[s]} pointings: its place is in doubt, "
+            f"station {recording.stations[s]} keeps {used[s]} of its {whole[s]} pointings: its place is in doubt, "
             "check its names, units and sense of azimuth"
         )
 
 
 def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
     """Poses that are held or bend, a sum of squares that states nothing."""
-    if adjustment.lost_stations:
+    if adjustment.undetermined_stations:
         yield (
             "nothing that is left of its readings determines all of the pose of station "
-            f"{listing(adjustment.lost_stations)}: it has no standard deviation there"
+            f"{listing(adjustment.undetermined_stations)}: it has no standard deviation there"
         )
     bend = np.nan_to_num(curvature(adjustment)) if adjustment.solution.converged else np.zeros(0)
     bent = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT)]
@@ -283,8 +286,8 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _copies(adjustment: Adjustment) -> Iterator[str]:
-    if adjustment.copies:
-        yield f"{adjustment.copies} rows repeat others to the last digit: these copies count once"
+    if adjustment.duplicate_rows:
+        yield f"{adjustment.duplicate_rows} rows repeat others to the last digit: these copies count once"
 
 
 def curvature(adjustment: Adjustment) -> Floats:
@@ -304,8 +307,8 @@ def curvature(adjustment: Adjustment) -> Floats:
     range_, station = adjustment.sightings.range_, adjustment.recording.station
     across = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     finest = np.min(np.where(problem.use, across, np.inf), axis=1)
-    steepest, known = np.zeros(len(spread)), np.isfinite(finest)
-    np.maximum.at(steepest, station[known], (range_ / finest)[known])
+    steepest, has_readings = np.zeros(len(spread)), np.isfinite(finest)
+    np.maximum.at(steepest, station[has_readings], (range_ / finest)[has_readings])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
     for s in np.flatnonzero((0.5 * turn * steepest > STRAIGHT) & ~np.isnan(bend)):

@@ -52,28 +52,28 @@ class GrossFinding:
     """Standard deviation of the size [m], where the network determines it; else 0."""
 
 
-Mend = tuple[GrossFinding, Floats, Ints]
+Correction = tuple[GrossFinding, Floats, Ints]
 """A mistake, and what the readings (k, 3) and targets (k,) of its rows should be."""
 
 
-def mended(recording: Recording, understood: Sequence[Mend]) -> Recording:
+def apply_corrections(recording: Recording, understood: Sequence[Correction]) -> Recording:
     """The recording with mistakes mended."""
     if not understood:
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
-    for finding, read, seen in understood:
-        readings[finding.rows], target[finding.rows] = read, seen
+    for finding, read, target_read in understood:
+        readings[finding.rows], target[finding.rows] = read, target_read
     return recording.replace(readings=readings, target=target)
 
 
-def mistakes(adjustment: Adjustment) -> list[Mend]:
+def detect_blunders(adjustment: Adjustment) -> list[Correction]:
     """Mistakes that explain pointings which an adjustment screened out: mended, they land on their target."""
-    left, found = adjustment.gross.copy(), []
+    remaining, corrections = adjustment.gross.copy(), []
     for kind in (_swaps, _heights, _slips):
-        for mend in kind(adjustment, left) if left.any() else ():
-            found.append(mend)
-            left[mend[0].rows] = False
-    return found
+        for mend in kind(adjustment, remaining) if remaining.any() else ():
+            corrections.append(mend)
+            remaining[mend[0].rows] = False
+    return corrections
 
 
 def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
@@ -92,7 +92,7 @@ def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     return np.asarray(np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1))
 
 
-def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
+def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
     """Pairs of targets that were exchanged at a station (or one that was taken for another)."""
     recording, points = adjustment.recording, adjustment.state.points
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
@@ -115,14 +115,16 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
                 f"were exchanged in {len(members)} pointings."
             )
         else:
-            told, meant = names if booked[0] == a else names[::-1]
+            booked_name, meant = names if booked[0] == a else names[::-1]
             numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
-            sentence = f"At station {station} what is booked as {told} (row {numbers}) is {meant}, {gap:.2f} m away."
+            sentence = (
+                f"At station {station} what is booked as {booked_name} (row {numbers}) is {meant}, {gap:.2f} m away."
+            )
         finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
         yield finding, recording.readings[at[members]], nearest[members]
 
 
-def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
+def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
     """Pointings that land right above or below their target: a height of target or instrument that is not that."""
     recording = adjustment.recording
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
@@ -132,12 +134,12 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
     up = verticals(recording)[recording.station[at]]
     high = np.einsum("ni,ni->n", off, up)
     aside = np.linalg.norm(off - high[:, None] * up, axis=1)
-    beside = aside < np.minimum(np.maximum(CLOSE, ASIDE * np.abs(high)), adjustment.sightings.range_[at])
+    is_vertical = aside < np.minimum(np.maximum(CLOSE, ASIDE * np.abs(high)), adjustment.sightings.range_[at])
     lift = np.zeros((len(recording), 3))
     lift[at] = high[:, None] * up
-    mended = recording.readings - exact_target_change(adjustment.sightings, lift)
+    corrected = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero((np.abs(high) > CLOSE) & beside):
+    for i in np.flatnonzero((np.abs(high) > CLOSE) & is_vertical):
         key = int(recording.station[at[i]]), int(recording.target[at[i]]), round(high[i] / (2.0 * CLOSE))
         groups.setdefault(key, []).append(int(i))
     for (s, t, _), members in groups.items():
@@ -150,10 +152,10 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
         )
         rows_ = at[members]
         finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)
-        yield finding, mended[rows_], recording.target[rows_]
+        yield finding, corrected[rows_], recording.target[rows_]
 
 
-def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
+def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
     """Pointings in another unit or of the other face; what is found leaves `rows` before the next is asked for."""
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
@@ -172,8 +174,8 @@ def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
             yield finding, readings[at], recording.target[at]
 
 
-def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
-    """Mend stations that were recorded in another unit or convention.
+def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+    """Correction stations that were recorded in another unit or convention.
 
     Returns
     -------
@@ -191,13 +193,13 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         for effect in WrongUnit.at(name):
             readings = recording.readings.copy()
             readings[rows] = effect.slip.corrected(readings[rows])
-            mended = recording.with_readings(readings)
-            if _misfit(mended)[s] < WRONG_SHAPE:
+            corrected = recording.with_readings(readings)
+            if _misfit(corrected)[s] < WRONG_SHAPE:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
                 sentence = f"Station {name} was recorded with {effect.slip.cause}."
                 findings.append(GrossFinding(effect.name, rows, (name,), (), effect.observables, size, sentence))
-                recording = mended
+                recording = corrected
                 break
     return recording, findings
 
@@ -214,7 +216,7 @@ def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
     return [GrossFinding(WrongUnit.name, rows, (a, b), (), ("azimuth",), 0.0, sentence)]
 
 
-def mend_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
     """Put pointings into the face that their raw elevations show, where the stored one is another.
 
     Where most pointings of face 2 read like face 1, that is how the file states elevations, and nobody's mistake.
@@ -250,9 +252,9 @@ def _misfit(recording: Recording) -> Floats:
     pairs, count = Pairs.of(recording), len(recording.stations)
     cloud = np.full((count, len(recording.targets), 3), np.nan)
     cloud[pairs.station, pairs.target] = pairs.points
-    seen, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
+    has_target, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
     for a, b in combinations(range(count), 2):
-        common = seen[a] & seen[b]
+        common = has_target[a] & has_target[b]
         if common.sum() < 4:
             continue
         here, there = cloud[b][common], cloud[a][common]
@@ -260,7 +262,7 @@ def _misfit(recording: Recording) -> Floats:
             gaps[a, b] = gaps[b, a] = float(np.median(misses(here, there, robust_align(here, there))))
         except NetworkError:
             continue
-    known = np.isfinite(gaps).any(axis=1)
+    is_compared = np.isfinite(gaps).any(axis=1)
     middle = np.zeros(count)
-    middle[known] = np.nanmedian(gaps[known], axis=1)
+    middle[is_compared] = np.nanmedian(gaps[is_compared], axis=1)
     return middle

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.blunders import GrossFinding
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
@@ -44,7 +44,7 @@ class Occupation:
 
 
 @dataclass(frozen=True)
-class Shifts:
+class CentringErrors:
     """Occupations that stood elsewhere, by their shifts (k, 3) and covariance (k, 3, 3) [m], and the fit with them.
 
     In plan alone, (k, 2) and (k, 2, 2), where heights of heads are observations.
@@ -53,7 +53,7 @@ class Shifts:
     """
 
     without: Adjustment
-    found: tuple[Occupation, ...]
+    occupations: tuple[Occupation, ...]
     values: Floats
     covariance: Floats
     chi2: float
@@ -72,10 +72,10 @@ class Shifts:
     def named(self) -> list[str]:
         """Who stood beside where it stood otherwise, and by how much."""
         named = []
-        for one, value, (size, sigma) in zip(self.found, self.values, self.sizes, strict=True):
+        for occupation, value, (size, sigma) in zip(self.occupations, self.values, self.sizes, strict=True):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
-            told = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
-            named.append(f"{one.mark} as {one.role} on {one.day} by {told} ({parts})")
+            size_text = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
+            named.append(f"{occupation.mark} as {occupation.role} on {occupation.day} by {size_text} ({parts})")
         return named
 
     @property
@@ -102,76 +102,84 @@ def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation
     days = np.array(days_of(recording))
     if len(set(days.tolist())) < 2:
         return []
-    found = []
+    all_occupations = []
     from_mark, to_mark = np.array(marks)[recording.station], np.array(recording.targets)[recording.target]
     for mark in dict.fromkeys(name for name in marks if name):
         roles = (("instrument", from_mark == mark, -1.0), ("target", to_mark == mark, 1.0))
-        own = [
+        of_mark = [
             Occupation(mark, role, day, sign * (rows & (days == day)))
             for role, rows, sign in roles
             for day in dict.fromkeys(days[rows].tolist())
         ]
-        if len({one.day for one in own}) > 1:
-            found += own
-    return found
+        if len({occupation.day for occupation in of_mark}) > 1:
+            all_occupations += of_mark
+    return all_occupations
 
 
-def moved_tripods(adjustment: Adjustment) -> Shifts | None:
+def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     """The occupations that stood elsewhere; None where none did, or where the readings agree without."""
     if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > DISAGREES:
         return None
-    some = occupations(adjustment.recording, adjustment.problem.marks.names)
-    if not some:
+    candidates = occupations(adjustment.recording, adjustment.problem.marks.names)
+    if not candidates:
         return None
-    noisy = tuple(adjustment.recording.targets[t] for t in adjustment.restless[0])
-    adjustment = _by_own_noise(adjustment)
+    noisy = tuple(adjustment.recording.targets[t] for t in adjustment.noisy_targets[0])
+    adjustment = _with_noise_by_target(adjustment)
     chi2, dof = adjustment.chi2, adjustment.dof
     space = whole = ResidualSpace.of(adjustment)
     model = adjustment.problem.model
     axes = 2 if model.heads else 3  # heights that the network corrects anyway tell of no tripod
     ordinary = max((heads.sigma for heads in model.heads), default=0.0)
     moves = model.linearised(adjustment.state).by_target[:, :, :axes]
-    shifts = {i: whole.whiten(moves * one.sign[:, None, None]) for i, one in enumerate(some)}
+    shifts = {i: whole.whiten(moves * occupation.sign[:, None, None]) for i, occupation in enumerate(candidates)}
     chosen: list[int] = []
-    while len(chosen) < min(MOST, len(some)):
-        fall = {i: space.explained(shift) for i, shift in shifts.items() if i not in chosen}
+    while len(chosen) < min(MOST, len(candidates)):
+        fall = {i: space.chi2_drop(shift) for i, shift in shifts.items() if i not in chosen}
         best = max(fall, key=lambda i: fall[i])
         drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
-        if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
+        if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < LEVEL:
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residual)[0]) < ordinary:
             break
-        space, chi2, dof = space.extended(shifts[best]), chi2 - drop, dof - rank
+        space, chi2, dof = space.augmented(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
     if not chosen:
         return None
     columns = whole.project(np.hstack([shifts[i] for i in chosen]))
     cofactor = np.linalg.pinv(columns.T @ columns)
     values = (cofactor @ (columns.T @ whole.residual)).reshape(-1, axes)
-    own = range(len(chosen))
-    spread = cofactor.reshape(len(own), axes, len(own), axes)[own, :, own] * chi2 / dof
-    return Shifts(adjustment, tuple(some[i] for i in chosen), values, spread, chi2, dof, noisy)
+    number = range(len(chosen))
+    spread = cofactor.reshape(len(number), axes, len(number), axes)[number, :, number] * chi2 / dof
+    return CentringErrors(adjustment, tuple(candidates[i] for i in chosen), values, spread, chi2, dof, noisy)
 
 
-def mend_tripods(adjustment: Adjustment) -> tuple[Recording, list[GrossFinding]]:
+def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[GrossFinding]]:
     """The recording with the readings that tripods would have which stood where they stood otherwise, and these."""
-    moved, recording = moved_tripods(adjustment), adjustment.recording
+    moved, recording = centring_errors(adjustment), adjustment.recording
     if moved is None:
         return recording, []
-    by_target, readings, found = adjustment.problem.model.linearised(adjustment.state).by_target, recording.readings, []
-    for one, value, (size, sigma), named in zip(moved.found, moved.values, moved.sizes, moved.named, strict=True):
-        readings = readings - one.sign[:, None] * (by_target[:, :, : len(value)] @ value)
+    by_target, readings, findings = (
+        adjustment.problem.model.linearised(adjustment.state).by_target,
+        recording.readings,
+        [],
+    )
+    for occupation, value, (size, sigma), named in zip(
+        moved.occupations, moved.values, moved.sizes, moved.named, strict=True
+    ):
+        readings = readings - occupation.sign[:, None] * (by_target[:, :, : len(value)] @ value)
         sentence = f"A tripod stood beside where it stood otherwise: {named}."
-        found.append(GrossFinding(MOVED, np.flatnonzero(one.sign), (), (one.mark,), (), size, sentence, sigma))
-    return recording.with_readings(readings), found
+        findings.append(
+            GrossFinding(MOVED, np.flatnonzero(occupation.sign), (), (occupation.mark,), (), size, sentence, sigma)
+        )
+    return recording.with_readings(readings), findings
 
 
-def _by_own_noise(adjustment: Adjustment) -> Adjustment:
+def _with_noise_by_target(adjustment: Adjustment) -> Adjustment:
     """The adjustment with readings of targets that have a noise of their own as uncertain as they show."""
-    named, own, rest = adjustment.restless
+    named, noisy_scatter, rest = adjustment.noisy_targets
     if not len(named):
         return adjustment
-    larger = np.where(np.isin(adjustment.recording.target, named), own / rest, 1.0)
+    larger = np.where(np.isin(adjustment.recording.target, named), noisy_scatter / rest, 1.0)
     problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * larger[:, None])
     return replace(adjustment, problem=problem, solution=solve(problem, adjustment.state))
