@@ -1,4 +1,4 @@
-"""Tripods that were set up again: a mark on whose second day instrument or target stood beside where they stood before.
+"""Centring errors: marks that an instrument or a target re-occupied on another day at a displaced point.
 
 All set-ups over a mark, and all targets on it, count as one point. An occupation is what stood there on one day as
 instrument, or as target; a shift of its own joins the adjustment where that explains far more than the noise found
@@ -22,12 +22,12 @@ from ltsim.solve.gauss_newton import solve
 DAY_COLUMN = "date"
 DAY = 86_400.0
 LEVEL = 0.001
-"""Chance of one occupation named by noise as large as found."""
+"""Significance level of the test for any centring error, with the estimated variance factor."""
 DISAGREES = 0.05
-"""Level of the global test: a network that agrees has no tripod that stood elsewhere."""
+"""p-value of the global test above which no centring error is searched."""
 MOST = 6
 MOVED = "target-moved"
-"""Catalogue effect of a tripod that stood elsewhere: the equipment on a mark moved."""
+"""Catalogue effect of a centring error: the equipment on a mark moved."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Occupation:
 
 @dataclass(frozen=True)
 class CentringErrors:
-    """Occupations that stood elsewhere, by their shifts (k, 3) and covariance (k, 3, 3) [m], and the fit with them.
+    """Centring errors of occupations: shifts (k, 3) and covariances (k, 3, 3) [m], and the fit with them.
 
     In plan alone, (k, 2) and (k, 2, 2), where heights of heads are observations.
 
@@ -59,7 +59,7 @@ class CentringErrors:
     chi2: float
     dof: int
     noisy: tuple[str, ...]
-    """Targets whose readings count by the noise they show."""
+    """Targets whose readings are weighted by their observed noise."""
 
     @property
     def sizes(self) -> list[tuple[float, float]]:
@@ -70,7 +70,7 @@ class CentringErrors:
 
     @property
     def named(self) -> list[str]:
-        """Who stood beside where it stood otherwise, and by how much."""
+        """Descriptions of the centring errors: mark, role, day, size and components."""
         named = []
         for occupation, value, (size, sigma) in zip(self.occupations, self.values, self.sizes, strict=True):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
@@ -80,11 +80,12 @@ class CentringErrors:
 
     @property
     def sentence(self) -> str:
-        """All of them, and what the network is like without them."""
-        counted = f" (readings to {', '.join(self.noisy)} by the noise they show)" if self.noisy else ""
+        """Sentence on all centring errors and their effect on the global test."""
+        counted = f" (readings to {', '.join(self.noisy)} weighted by their observed noise)" if self.noisy else ""
+        before, after = f"{self.without.chi2:.1f}/{self.without.dof}", f"{self.chi2:.1f}/{self.dof}"
         return (
-            f"tripods that stood beside where they stood otherwise: {'; '.join(self.named)}; with places of their own "
-            f"chi2/dof falls from {self.without.chi2:.1f}/{self.without.dof} to {self.chi2:.1f}/{self.dof}{counted}"
+            f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.named)}; "
+            f"with them in the model chi2/dof falls from {before} to {after}{counted}"
         )
 
 
@@ -117,7 +118,7 @@ def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation
 
 
 def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
-    """The occupations that stood elsewhere; None where none did, or where the readings agree without."""
+    """Centring errors of a network; None where there are none or where the global test passes without them."""
     if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > DISAGREES:
         return None
     candidates = occupations(adjustment.recording, adjustment.problem.marks.names)
@@ -155,7 +156,7 @@ def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[GrossFinding]]:
-    """The recording with the readings that tripods would have which stood where they stood otherwise, and these."""
+    """Recording with the readings corrected for centring errors, and a finding for each error."""
     moved, recording = centring_errors(adjustment), adjustment.recording
     if moved is None:
         return recording, []
@@ -168,7 +169,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[GrossFindi
         moved.occupations, moved.values, moved.sizes, moved.named, strict=True
     ):
         readings = readings - occupation.sign[:, None] * (by_target[:, :, : len(value)] @ value)
-        sentence = f"A tripod stood beside where it stood otherwise: {named}."
+        sentence = f"Centring error (tripod not re-occupied at the same point): {named}."
         findings.append(
             GrossFinding(MOVED, np.flatnonzero(occupation.sign), (), (occupation.mark,), (), size, sentence, sigma)
         )
@@ -176,7 +177,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[GrossFindi
 
 
 def _with_noise_by_target(adjustment: Adjustment) -> Adjustment:
-    """The adjustment with readings of targets that have a noise of their own as uncertain as they show."""
+    """Adjustment in which the readings of noisy targets are weighted by their observed noise."""
     named, noisy_scatter, rest = adjustment.noisy_targets
     if not len(named):
         return adjustment

@@ -30,12 +30,12 @@ from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
 
 MOST = 0.5
-"""Share of a set-up's pointings that miss by far, from which its mark or its height is doubted and not they."""
+"""Share of a set-up's pointings with gross errors above which its mark or height is tested instead of the pointings."""
 TURNED = 1e-7
-"""[rad] A network turned by more is linearised anew."""
+"""Rotation [rad] into the datum above which the network is linearised again."""
 
 SIDEWAYS = 1e-6
-"""[share of its length, per radian] An SMR's way from its target that turns by less does not turn."""
+"""Tolerance (relative offset per radian) below which a free rotation is taken not to move the SMR offset."""
 
 
 @refusing_singular
@@ -208,11 +208,11 @@ def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustmen
 GROSS, CLEARLY = 2e-3, 10.0
 """Miss [m], and in medians, of the axes that most points ask for, from which a point begins outside."""
 LEVEL = 0.02
-"""Chance that any point of a sound fit is left out."""
+"""Significance level: probability that any point of an error-free fit is excluded."""
 LEAST = 3
 """Points that define axes."""
 OPEN = 1e-6
-"""Share of a point's error that its residual shows below which the others say nothing of it."""
+"""Redundancy number of a point below which the other points do not test it."""
 
 
 def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:

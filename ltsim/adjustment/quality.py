@@ -1,4 +1,4 @@
-"""Conditions under which an adjusted network is no result, and doubts about parts of it, reported before any figure."""
+"""Quality of an adjusted network: conditions under which it is unusable, and warnings that precede all results."""
 
 from collections.abc import Iterator
 
@@ -20,28 +20,28 @@ from ltsim.geometry.polar import wrap
 from ltsim.recordings.transcription_errors import GON, UNIT_ERRORS, TranscriptionError
 
 MAX_UNUSED = 0.5
-"""Share of the pointings that may be left out before what remains is no result."""
+"""Share of unused pointings above which an adjustment is refused."""
 FITS = 0.1
-"""Share of them that may still be left out where another unit is said to fit."""
+"""Share of unused pointings below which another unit of the readings counts as fitting."""
 CONTRADICTION = 100.0
-"""sigma0 from which a covariance, which is linear in small errors, states nothing."""
+"""sigma0 above which readings contradict each other and the covariance, which is linear, is meaningless."""
 HEALED = 0.1
-"""Ratio of sigma0 without the known points to that with them, from which on these are what contradicts."""
+"""Ratio of sigma0 without and with the known points below which the known points are the contradiction."""
 MIN_USED = 0.5
-"""Share of its pointings that a station keeps, below which its place is in doubt."""
+"""Share of a station's pointings in use below which its position is reported as doubtful."""
 MOST_NAMED = 4
 LEAST_PLACES = 3
-"""Places of a plan that tell a network from its mirror image."""
+"""Number of station positions on a plan from which a mirror image is recognised."""
 FAR = 0.01
-"""Share of a network's extent by which places that are stated roughly may miss it."""
+"""Misclosure of approximate positions that is accepted, relative to the extent of the network."""
 CLEARLY = 0.3
-"""Ratio of the misses from which a mirror image fits clearly better."""
+"""Ratio of the misclosures below which the mirror image fits clearly better."""
 UPRIGHT = 0.9
-"""Cosine of the lean of the stations up to which a plan is compared with the network from above."""
+"""Cosine of the stations' median tilt above which a plan is compared with the network."""
 BENT = 0.3
-"""Bend [standard deviations of a reading] within one standard deviation from which stated sigmas mislead."""
+"""Curvature (Bates and Watts) [sigmas of a reading] above which linearised standard deviations are unreliable."""
 STRAIGHT = 0.03
-"""Bend that a turn can make at most, below which a station need not be asked."""
+"""Upper bound of the curvature below which it is not computed for a station."""
 SLIPS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
@@ -50,7 +50,7 @@ SLIPS = (
 
 
 def require_usable(adjustment: Adjustment) -> None:
-    """NetworkError where most of the recording was left out, or where what is known contradicts the readings.
+    """NetworkError if most pointings are unused or known points contradict the readings.
 
     ConvergenceError where there is no solution.
     """
@@ -74,7 +74,7 @@ def _require_consistent_units(adjustment: Adjustment) -> None:
         sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]
         if sentences:
             first_sentences = "; ".join(sentences[:MOST_NAMED])
-            raise NetworkError(f"{first_sentences}: read again with what it says, then nothing contradicts")
+            raise NetworkError(f"{first_sentences}: read the recording again in that unit or convention")
 
 
 def _require_consistent_control(adjustment: Adjustment) -> None:
@@ -147,31 +147,31 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
 
 
 def warnings_of(adjustment: Adjustment) -> tuple[str, ...]:
-    """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
+    """Warnings: undecidable contradictions, blunders, stations with few readings, unreliable standard deviations."""
     slips = _undecided, _mistakes, _two_names, _tripods
     kinds = _causes, _references, _motions, _plan, *slips, _thin_stations, _uncertain_figures, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
 def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
-    """Sentences: those doubts that are no single value or mistake, for which figures of the network mislead."""
+    """Warnings that concern the network as a whole, and no single reference value or blunder."""
     kinds = _plan, _undecided, _thin_stations, _uncertain_figures
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
 def _references(adjustment: Adjustment) -> Iterator[str]:
-    """Known values that contradict the rest."""
+    """Reference values that contradict the other observations."""
     every = (*adjustment.rejected_references, *adjustment.axis_tests)
     sentences = [
         test.sentence for test in every if test.excluded or test.indistinguishable_from or test.kind == "scale"
     ]
     yield from sentences[:MOST_NAMED]
     if len(sentences) > MOST_NAMED:
-        yield f"{len(sentences) - MOST_NAMED} more known values contradict the rest"
+        yield f"{len(sentences) - MOST_NAMED} more reference values contradict the other observations"
 
 
 def _causes(adjustment: Adjustment) -> Iterator[str]:
-    """Simple causes that are in the model."""
+    """Simple causes in the model."""
     yield from (sentence.rstrip(".") for sentence in adjustment.causes)
 
 
@@ -214,11 +214,12 @@ def _undecided(adjustment: Adjustment) -> Iterator[str]:
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     two = measured_pairs.sum(axis=0) == 2
-    ends = {1: "its coordinates are those of one of them", 0: "it is left without coordinates"}
+    ends = {1: "its coordinates are those of one of them", 0: "it has no coordinates"}
     for stations, end in ends.items():
         names = [recording.targets[t] for t in np.flatnonzero(two & (used_pairs.sum(axis=0) == stations))]
         if names:
-            yield f"{listing(names)}: two stations disagree about where it is and nobody can tell which is right; {end}"
+            contradiction = "the positions from two stations differ and the data do not identify which one is right"
+            yield f"{listing(names)}: {contradiction}; {end}"
 
 
 def _mistakes(adjustment: Adjustment) -> Iterator[str]:
@@ -226,7 +227,7 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
     sentences = [finding.sentence.rstrip(".") for finding, *_ in detect_blunders(adjustment)]
     if sentences:
         more = f"; {len(sentences) - MOST_NAMED} more such mistakes" if len(sentences) > MOST_NAMED else ""
-        yield f"{'; '.join(sentences[:MOST_NAMED])}{more}: left out here; ltsim diagnose adjusts with them mended"
+        yield f"{'; '.join(sentences[:MOST_NAMED])}{more}: these pointings are not used; ltsim diagnose corrects them"
 
 
 def _two_names(adjustment: Adjustment) -> Iterator[str]:
@@ -241,7 +242,7 @@ def _two_names(adjustment: Adjustment) -> Iterator[str]:
         if not (is_sighted[first] & is_sighted[second]).any():
             gap = float(np.linalg.norm(points[first] - points[second])) / MILLIMETRE
             names = f"{recording.targets[first]} and {recording.targets[second]}"
-            yield f"{names} lie within {gap:.2g} mm and no set-up sees both: perhaps one target by two names"
+            yield f"{names} lie within {gap:.2g} mm and no set-up sees both: they may be one target under two names"
 
 
 def _tripods(adjustment: Adjustment) -> Iterator[str]:
@@ -258,7 +259,7 @@ def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
     used = np.bincount(recording.station[adjustment.problem.use.any(axis=1)], minlength=count)
     for s in np.flatnonzero((used > 0) & (used < MIN_USED * whole)):
         yield (
-            f"station {recording.stations[s]} keeps {used[s]} of its {whole[s]} pointings: its place is in doubt, "
+            f"station {recording.stations[s]} keeps {used[s]} of its {whole[s]} pointings: its position is doubtful; "
             "check its names, units and sense of azimuth"
         )
 
@@ -267,8 +268,8 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
     """Poses that are held or bend, a sum of squares that states nothing."""
     if adjustment.undetermined_stations:
         yield (
-            "nothing that is left of its readings determines all of the pose of station "
-            f"{listing(adjustment.undetermined_stations)}: it has no standard deviation there"
+            "the readings in use do not determine the full pose of station "
+            f"{listing(adjustment.undetermined_stations)}: the undetermined components have no standard deviation"
         )
     bend = np.nan_to_num(curvature(adjustment)) if adjustment.solution.converged else np.zeros(0)
     bent = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT)]
@@ -281,13 +282,13 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.sigma0 > CONTRADICTION:
         yield (
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
-            "standard deviations state nothing"
+            "standard deviations are meaningless"
         )
 
 
 def _copies(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.duplicate_rows:
-        yield f"{adjustment.duplicate_rows} rows repeat others to the last digit: these copies count once"
+        yield f"{adjustment.duplicate_rows} rows repeat others to the last digit: each is used once"
 
 
 def curvature(adjustment: Adjustment) -> Floats:

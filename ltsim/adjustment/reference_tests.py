@@ -1,7 +1,7 @@
-"""Known values as observations: coordinates, heights, lengths and levels can be wrong, and are tested like readings.
+"""Tests of reference values: coordinates, heights, lengths, levels and azimuths are observations like readings.
 
-A wrong one bends every reading that it meets. It is therefore judged before single readings are: the error that lets
-chi-square fall most, for the unknowns that it takes, is the one that is believed.
+An erroneous reference value biases the residuals of all readings that it constrains. Reference values are therefore
+tested before single readings: the hypothesis with the smallest p-value of its chi-square decrease is accepted first.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -48,57 +48,57 @@ WORDS: dict[Kind, str] = {
     "scale": "the scale of",
 }
 UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
-"""Units of errors by kind of known value, and their sizes in SI units; millimetres for all other kinds."""
+"""Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 KINDS: tuple[Kind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 SCALED: tuple[Kind, ...] = KINDS[:-1]
-"""Kinds left out where lengths give the ranges their scale: a contradiction of all lengths is only reported."""
+"""Kinds that may be excluded where lengths determine the scale of the ranges: a common scale error is only reported."""
 SIGMAS = 5.0
-"""Standard deviations of what the rest says from which a known value is left out."""
+"""Limit of `w`: a reference value with a larger normalised error is excluded."""
 CHECKED = 1e-3
-"""Redundancy below which the rest says nothing about a known value."""
-UNFELT = 1e-9
-"""Signature of a component, in that of the one that is felt most, below which nothing feels it."""
-FELT = 0.2
-"""Whitened residual below which a known value need not be looked at: what is 5 sigmas off has more."""
+"""Redundancy below which the other observations do not test a component of a reference value."""
+INSENSITIVE = 1e-9
+"""Signature of a component, relative to the largest of its value, below which the readings do not depend on it."""
+MIN_RESIDUAL = 0.2
+"""Whitened residual below which a reference value is not tested: an error of 5 sigmas has a larger one."""
 FINEST = 0.3
-"""Standard deviation of an exact value, in that of a reading at its target, with which it is tested."""
+"""Standard deviation with which an exact value is tested, relative to that of a reading at its target."""
 UPRIGHT = 0.01
-"""Share of an error of height that may show in plan, for instruments and targets stand upright within that."""
+"""Share of a height error that may appear in plan [rad]: the tilt of instruments and targets is smaller."""
 AT_ONCE = 64
-"""Known values that are tested together."""
+"""Number of reference values whose covariance columns are computed at once (memory)."""
 PLAIN = 20.0
-"""w from which a known value is not compared with several bad readings in its place."""
+"""Limit of `w`; from here on an error is accepted without comparing it with several outliers as an alternative."""
 USUAL = 3
-"""Known values of a kind that tell by how much such values are usually off; fewer may be wrong, each by itself."""
+"""Number of reference values of a kind from which their typical error is estimated; fewer are judged one by one."""
 RIVAL = 100.0
-"""Factor by which the error of one known value must be likelier than that of any other before it alone is blamed."""
+"""Likelihood ratio to the second best hypothesis above which a single reference value is identified as erroneous."""
 BY_FAR = 1e-6
-"""Share of chi-square that known values of another order of error leave: they are wrong, whatever is said of others."""
+"""If excluding reference values lowers chi-square below this fraction, they are rejected by that alone."""
 MOST_OUT = 1 / 3
-"""Share of the known values of a kind beyond which they contradict each other, and none can be named."""
+"""Share of the reference values of a kind above which they are inconsistent and none is identified."""
 
 
 @dataclass(frozen=True)
 class ReferenceTest(ReferenceValue):
-    """Test of a known value against the rest of a network."""
+    """Test of a reference value against the other observations of a network."""
 
     error: Floats
-    """Estimated error: stated less what the rest says."""
+    """Estimated error (q,): declared value minus the estimate by the other observations."""
     sigma_error: Floats
-    """Its standard deviation; infinite where the rest says nothing."""
+    """Standard deviation (q,) of the error; infinite where the other observations do not determine it."""
     chi2_drop: float
-    """Fall of chi-square if it were left out."""
+    """Decrease of chi-square if the value is excluded."""
     rank: int
-    """Number of components that the rest of the network checks."""
+    """Number of components that the other observations test."""
     excluded: bool = False
     critical: float = SIGMAS
     """Limit of `w`."""
     indistinguishable_from: tuple[str, ...] = ()
-    """Other known values that may as well be the wrong one: then all of them are kept."""
+    """Other reference values whose error explains the same: none of them is excluded."""
 
     @property
     def w(self) -> float:
-        """Root of the fall of chi-square: the normalised residual of a single component."""
+        """Square root of the chi-square decrease: the normalised residual of a single component."""
         return float(np.sqrt(self.chi2_drop))
 
     @property
@@ -110,7 +110,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def error_text(self) -> str:
-        """By how much it is wrong, in words."""
+        """Size of the error with its standard deviation and unit."""
         size = float(np.linalg.norm(self.error))
         along = self.error / size if size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
@@ -119,44 +119,45 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def sentence(self) -> str:
-        """Sentence on a known value that contradicts the rest of the network."""
+        """Sentence on a reference value that contradicts the other observations."""
         what = f"{WORDS[self.kind]} {self.name}"
         if self.kind == "mark":
             mark = (
                 f"the mark of {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else "its mark"
             )
             where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
-            where, cause = (where, f" (its height is stated too {cause})") if self.is_height else ("beside", "")
-            end = f"{mark}{cause} (w = {self.w:.3g}): given a place of its own"
+            where, cause = (where, f" (its height is stated too {cause})") if self.is_height else ("away from", "")
+            end = f"{mark}{cause} (w = {self.w:.3g}): its position is estimated separately"
             return f"set-up {self.name} stands {self.error_text} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
-            causes = "a temperature, an expansion or the scale of the ranges is not what is stated"
-            remark = "; the scale is that of the ranges, and lengths count by their ratios" if self.excluded else ""
-            contradiction = f"{self.name} are {self.error_text} too {more} (w = {self.w:.3g}), or all ranges too {less}"
-            return f"{contradiction}: {causes}{remark}"
+            causes = "check the temperature, the expansion coefficient and the scale of the ranges"
+            remark = "; the ranges define the scale and the lengths only their ratios" if self.excluded else ""
+            size = f"{self.error_text} too {more} (w = {self.w:.3g})"
+            return f"{self.name} are {size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
             both = ", ".join((self.name, *self.indistinguishable_from))
-            return f"{both} contradict each other ({what} by {self.error_text}) and nobody can tell which is wrong"
-        rest = "by what the others say: left out of the datum" if self.kind == "axes" else "not its readings: left out"
+            size = f"{what} by {self.error_text}"
+            return f"{both} are inconsistent ({size}); the data do not identify which one is in error"
+        rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
-            rest = f"or the height of set-up {self.occupied_by} over it: left out"
+            rest = f"or the height of set-up {self.occupied_by} over it: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
         return f"{what} {verb} off by {self.error_text} (w = {self.w:.3g}), {rest}"
 
     @property
     def redundancy(self) -> Floats:
-        """Share of an error in each component that its residual shows."""
+        """Redundancy number (q,) of each component: share of its error that appears in its residual."""
         return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
 
     @property
     def minimal_detectable(self) -> Floats:
-        """Smallest error of each component that the test finds with 80 %; infinite where nothing checks it."""
+        """Minimal detectable error (q,) of each component at a power of 80 %; infinite where nothing tests it."""
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
 
 
 def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
-    """The problem with what is said to be exact known as well as `FINEST` of a reading, so that it can be tested."""
+    """Problem in which exact reference values have at least `FINEST` of a reading's sigma, so that tests work."""
     if not problem.use.any():
         return problem
     range_ = problem.model.geometry(state).range_
@@ -192,7 +193,7 @@ def reference_tests(problem: NetworkProblem, solution: Solution[State], least: f
 def _test(value: ReferenceRows, gram: Floats, pull: Floats) -> ReferenceTest:
     """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
-    size = np.where(size > UNFELT * size.max(), size, np.inf)  # no reading feels the height of a mark in a plan
+    size = np.where(size > INSENSITIVE * size.max(), size, np.inf)  # readings in plan do not depend on heights
     share, turned = np.linalg.eigh(gram / np.outer(size, size))
     checked = share > CHECKED
     share, turned = share[checked], turned[:, checked]
@@ -315,8 +316,8 @@ def _most_significant(
     problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], exempt: Collection[tuple[Kind, str]]
 ) -> ReferenceTest | Bools | None:
     """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
-    tests = [test for test in reference_tests(problem, solution, FELT) if test.kind in {*kinds, "scale"} and test.rank]
-    tests = [test for test in tests if (test.kind, test.name) not in exempt]
+    tests = [test for test in reference_tests(problem, solution, MIN_RESIDUAL) if test.rank]
+    tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None

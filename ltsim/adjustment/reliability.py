@@ -11,11 +11,11 @@ from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import median_deviation
 
 FAMILY_LEVEL = 0.01
-"""Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
+"""Probability that a recording without errors has any outlier (Sidak over all readings)."""
 SINGLE_LEVEL = 0.001
 """Significance level of a test of one hypothesis that was chosen beforehand."""
 POWER = 0.8
-"""Share of recordings in which what is called detectable is found."""
+"""Power: probability that an error of the minimal detectable size is detected."""
 BELIEVED = 1.25
 """Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
 CHECKED = 0.1
@@ -23,9 +23,9 @@ CHECKED = 0.1
 FEW = 15
 """Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
 FAR_MORE = 2.0
-"""Ratio of the scatter of a target's readings to that of the others from which it has a noise of its own."""
+"""Ratio of a target's scatter to that of the others above which the target counts as noisy."""
 EQUIVALENT = 0.9
-"""Squared correlation of the residuals of two readings from which no test tells which of them is wrong."""
+"""Squared correlation of two residuals above which no test distinguishes their errors."""
 UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
@@ -144,7 +144,7 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int 
 
 
 def neg_log_p_chi2(drop: Floats | float, rank: Ints | int) -> Floats:
-    """Minus the logarithm of the chance of a chi-square above `drop`; 0 for rank 0.
+    """Negative log p-value of a chi-square decrease `drop` with `rank` degrees of freedom; 0 for rank 0.
 
     Where the chance is too small for a float, by the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
     """

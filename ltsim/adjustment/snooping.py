@@ -1,6 +1,6 @@
-"""Readings that do not belong: copies, what places nothing, gross misses before the adjustment, single errors in it.
+"""Data snooping: duplicate rows, undetermined targets, gross errors before the adjustment, outliers within it.
 
-Single readings that do not belong are left out, and taken back where they do belong after all.
+Rejected readings are tested again after each solution, and accepted where they fit.
 """
 
 from dataclasses import replace
@@ -38,8 +38,8 @@ ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
 STEPS = 10
 """Iterations of a solution on the way; the last has as many as it needs."""
-ALONE = 100.0
-"""Standard deviations of a reading that was left out: a target that the rest places no better has no place by it."""
+UNPREDICTED = 100.0
+"""Limit [sigmas of a rejected reading]: if the network predicts the reading no better, its target is undetermined."""
 
 
 def copied_rows(recording: Recording) -> Bools:
@@ -277,7 +277,7 @@ def _retested(
         spread = np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0))
         still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.unseen), dtype=bool)
         still[out] = _whitened(problem, solution.x)[out] / spread > limit * scale
-        alone[targets[np.argwhere(out)[spread > ALONE, 0]]] = True
+        alone[targets[np.argwhere(out)[spread > UNPREDICTED, 0]]] = True
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= still | (rejected & reduced.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])
     return new

@@ -130,8 +130,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
                 moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (
                 effect,
-                f"station {', '.join(effect.stations)} {moved}: estimated beside the rest, so that its pointings are "
-                "not to blame",
+                f"station {', '.join(effect.stations)} {moved}: the motion is estimated, and its pointings stay in use",
             )
 
 

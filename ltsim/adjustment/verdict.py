@@ -71,10 +71,10 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     if low <= sigma0 <= high and not by_w:
         return Verdict(Agreement.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
     if low <= sigma0 <= high:
-        sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because one sum over many "
-        return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly feels a few wrong ones.", False)
+        sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
+        return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
     if sigma0 < low and dof < FEW:
-        sentence = f"Trust the stated noise: {shown} is smaller, but so few degrees of freedom prove little."
+        sentence = f"Trust the stated noise: {shown} is smaller, but not significantly with so few degrees of freedom."
         return Verdict(Agreement.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
@@ -89,14 +89,14 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
         return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False)
     if dof < FEW:
         sentence = (
-            f"Trust the global test: {shown}, noise or model are wrong; with so few degrees of freedom neither "
-            "the estimated sigma0 nor a test of single readings says by how much or where."
+            f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "
+            "the estimated sigma0 nor a test of single readings identifies the size or the place."
         )
         return Verdict(Agreement.LARGER_NOISE, sentence, True)
     sentence = (
         f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
-        f"effect is missing from the model, and of the {by_w} readings that the w-test blames {by_tau or 'none'} stand "
-        f"out from the noise they show{_by_targets(adjustment)}."
+        f"effect is missing from the model, and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
+        f"outliers at the observed noise level{_by_targets(adjustment)}."
     )
     return Verdict(Agreement.LARGER_NOISE, sentence, True)
 
@@ -135,7 +135,7 @@ def _by_targets(adjustment: Adjustment) -> str:
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)
-    return f"; readings to {names} scatter {scatter:.2g} times as stated, the others {rest:.2g} times"
+    return f"; readings to {names} scatter {scatter:.2g} times the stated noise, the others {rest:.2g} times"
 
 
 def _readings(count: int) -> str:

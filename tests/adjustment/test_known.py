@@ -93,7 +93,7 @@ def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
         recording = network(seed=seed, stations=3)[0]
         noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
         points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
-        blamed += any(test.excluded for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axes)
+        blamed += any(test.excluded for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axis_tests)
     assert blamed <= 5
 
 
@@ -189,7 +189,7 @@ def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> Non
     (test,) = found.rejected_references
     assert {test.name, *test.indistinguishable_from} == {"T01", "T06"}
     assert not test.excluded
-    assert "nobody can tell which is wrong" in warnings_of(found)[0]
+    assert "do not identify which one is in error" in warnings_of(found)[0]
 
 
 def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) -> Recording:
@@ -242,7 +242,7 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
         points[name] = points[name] + 1e-3 * size * np.array([0.48, -0.6, 0.64])
         found = adjust(in_axes_of_points(recording, points, "hall.csv"))
-        assert [test.name for test in found.axes if test.excluded] == [name]
+        assert [test.name for test in found.axis_tests if test.excluded] == [name]
         rest = {n: place for n, place in points.items() if n != name}
         sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
         np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)

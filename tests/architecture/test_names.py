@@ -17,7 +17,7 @@ WORDS = frozenset(
     "alike apart beside found kept known left mended one own said seen some stated stray told".split(),
 )
 """Words that say when or by whom a value came to be, and not what it is."""
-TO_BE_RENAMED = {"adjustment", "recordings"}
+TO_BE_RENAMED = {"recordings"}
 """Packages that still hold such names; the list may only become shorter."""
 
 

@@ -66,8 +66,8 @@ def with_target_noise(recording: Recording, plain: Adjustment) -> tuple[Recordin
     )
     shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
     names = tuple(recording.targets[t] for t in named)
-    sentence = f"readings to {', '.join(names)} scatter {ratio:.2g} times as stated, the others {rest:.2g} times"
-    return shown, (Item.of("", "closure", False, f"{sentence}: it belongs to the target", targets=names),)
+    sentence = f"readings to {', '.join(names)} scatter {ratio:.2g} times the stated noise, the others {rest:.2g} times"
+    return shown, (Item.of("", "closure", False, f"{sentence}: these targets are unstable", targets=names),)
 
 
 def items_of_network(
@@ -95,7 +95,7 @@ def items_of_network(
             motions = (*motions, *moving)
             fitted = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
-        return (Item.of("", "network", False, f"the set-ups make no network: {problem}"),)
+        return (Item.of("", "network", False, f"the set-ups do not form a network: {problem}"),)
     items = [Item.of("", "network", False, doubt) for doubt in network_warnings(plain)]
     items += [
         Item.of(", ".join(motion.stations), "bump" if isinstance(motion, SuddenMotion) else "drift", False, sentence)
