@@ -48,7 +48,7 @@ def place(where: Where) -> str:
 
 def percent(probability: float) -> str:
     """A probability for people."""
-    return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+    return "> 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
 def catalogue_sentence(
@@ -62,9 +62,10 @@ def catalogue_sentence(
     if max(probability, p_located or 0.0) < LIKELY:
         perhaps = f"{title[0].lower()}{title[1:]}{f' ({sizes})' if sizes else ''}, {percent(probability)}"
         return f"An unidentified systematic effect is present ({at}); the best candidate is {perhaps}."
-    located = "" if p_located is None else f"such a change here: {percent(p_located)}; "
-    cause = f"usual cause: {card.cause} (probability of this name {percent(probability)})"
-    return f"{title} ({at}){f': {sizes}' if sizes else ''}; {located}{cause}."
+    here = place(where.model_copy(update={"observables": ()}))
+    located = "" if p_located is None else f"An effect like this {here}: {percent(p_located)}. "
+    cause = f"Its cause is {card.title[0].lower()}{card.title[1:]}: {percent(probability)} ({card.cause})"
+    return f"{title} ({at}){f': {sizes}' if sizes else ''}. {located}{cause}."
 
 
 def law_sentence(where: Where, parameters: Sequence[Estimate], p_located: float, law: str) -> str:

@@ -161,6 +161,8 @@ Block = Notes | Grid | Picture | Scene | Note | Listing
 class Section:
     """Section of a page: one result of one folder; `answer` is its first sentence.
 
+    `notice` comes before the answer and tells that the data are simulated.
+
     `title` is the title of a page with this section alone; `kind` and `folder` are its heading among others. The first
     `shown` blocks are open, the others are details; the first `lead` blocks are side by side at the head of the page. A
     terminal prints the first `terminal_blocks`, or all.
@@ -182,11 +184,12 @@ class Section:
     shown: int = 3
     lead: int = 0
     terminal_blocks: int | None = None
+    notice: str = ""
 
     def text(self) -> str:
         """Text for a terminal: answer, facts, sentences, tables, next actions."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
-        parts = [self.answer, facts, *map(_as_text, self.blocks[: self.terminal_blocks])]
+        parts = [self.notice, self.answer, facts, *map(_as_text, self.blocks[: self.terminal_blocks])]
         parts += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
         return "\n\n".join(filter(None, parts))
 
@@ -203,6 +206,7 @@ class Document:
     about: Sequence[tuple[str, str]] = ()
     verdict: str = ""
     actions: Sequence[str] = ()
+    notice: str = ""
 
 
 def _as_text(block: Block) -> str:

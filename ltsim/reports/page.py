@@ -106,8 +106,16 @@ def document(
         versions=versions(),
         about=_about(parts, sections, about or About()),
         verdict=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.mood), ""),
-        actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST_ACTIONS],
+        actions=_actions(sections),
+        notice=first.notice,
     )
+
+
+def _actions(sections: list[Section]) -> list[str]:
+    """Next actions of the section that heads the page, else of the first one with the same verdict."""
+    first = sections[0]
+    chosen = next((s for s in sections if s.actions and s.mood == first.mood), first)
+    return list(dict.fromkeys(first.actions or chosen.actions))[:MOST_ACTIONS]
 
 
 def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:

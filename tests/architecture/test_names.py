@@ -1,4 +1,4 @@
-"""Identifiers are nouns of the field: no participle, pronoun or adverb names a value, a function, a class or a module."""
+"""Identifiers are nouns of the field: no participle, pronoun or adverb is the name of a value, function or module."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ import ltsim
 
 PACKAGE = Path(ltsim.__file__).parent
 PARTS = sorted({path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")})
-WORDS = frozenset(
-    "alike apart beside found kept known left mended one own said seen some stated stray told".split(),
-)
+WORDS = {
+    *("alike", "apart", "beside", "found", "kept", "known", "left", "mended", "one", "own"),
+    *("said", "seen", "some", "stated", "stray", "told"),
+}
 """Words that say when or by whom a value came to be, and not what it is."""
 TO_BE_RENAMED = {"recordings"}
 """Packages that still hold such names; the list may only become shorter."""

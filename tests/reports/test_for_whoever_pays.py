@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_head_names_who_measured_what_for_whom(folder: Path) -> None:
     content = document(folder)
-    assert dict(content.about) == ABOUT.model_dump() | {"axes": "not stated"}
+    assert dict(content.about) == ABOUT.model_dump()
     assert read(folder.parent / "recording").setup.report == ABOUT
     html = render(content)
     assert "Hall &lt;3&gt;" in html
@@ -39,7 +39,7 @@ def test_head_names_who_measured_what_for_whom(folder: Path) -> None:
 
 
 def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_path: Path) -> None:
-    """Without a word in [report] the head has each tracker with its serial number; what nobody said is not stated."""
+    """Without a word in [report] the head has each tracker with its serial number; an unknown line is omitted."""
     place = shutil.copytree(folder, tmp_path / "diagnosis")
     made = samples.recording()
     trackers = {"A": Instrument(model="AT960", serial="751234"), "B": Instrument(serial="9")}
@@ -64,7 +64,7 @@ def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
 def test_an_option_stands_before_the_file(folder: Path) -> None:
     content = document(folder, title="Hall 3, May", about=About(operator="B. Person"))
     assert content.title == "Hall 3, May"
-    assert dict(content.about) == ABOUT.model_dump() | {"operator": "B. Person", "axes": "not stated"}
+    assert dict(content.about) == ABOUT.model_dump() | {"operator": "B. Person"}
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,9 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
     }  # fmt: skip
     (place / "truth.json").write_text(json.dumps(truth))
     content = document(place)
-    assert content.answer.startswith("This recording is simulated, with station-settling (S3) injected on purpose")
+    assert content.notice.startswith("This recording is simulated. station-settling (S3) was injected on purpose")
+    html = render(content)
+    assert html.index(content.notice) < html.index(content.answer)
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
     rows = {row[0]: row[1:] for row in table.rows}

@@ -72,10 +72,12 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
-    first = _parameters(content, truth_of(context)) if content.parameters else product
+    good = agrees and converged and all(outlier.excluded for outlier in content.outliers)
+    first = _parameters(content, truth_of(context)) if content.parameters else []
     fits = _reference_values(content)
     ahead = fits if any(entry.excluded for entry in content.reference_values) else []
     blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
+    blocks += product if good else []  # coordinates of a rejected fit are in the details
     shown = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), context.detail)
@@ -83,7 +85,7 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     blocks += [
         *([] if ahead else fits),
         *first[1:],
-        *(product if content.parameters else ()),
+        *([] if good else product),
         *_stations(content),
     ]
     if after is not None and not context.brief:
@@ -98,10 +100,10 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
         title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
         answer=_answer(content, words, targets),
-        mood=mood(agrees and converged and all(outlier.excluded for outlier in content.outliers)),
+        mood=mood(good),
         facts=_facts(content, agrees=agrees),
         blocks=blocks,
-        actions=_actions(content),
+        actions=_actions(content, good=good),
         axes=content.frame,
         shown=shown,
     )
@@ -180,7 +182,7 @@ def _reference_values(content: CalibrationFile) -> list[Grid]:
     return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
 
 
-def _actions(content: CalibrationFile) -> list[str]:
+def _actions(content: CalibrationFile, *, good: bool) -> list[str]:
     """Next actions, the most urgent first."""
     actions = []
     remaining = [o for o in content.outliers if not o.excluded]
@@ -194,7 +196,7 @@ def _actions(content: CalibrationFile) -> list[str]:
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
     cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
     actions += [f"To determine the open parameters: {cure.rstrip('.')}." for cure in list(cures)[:3]]
-    if content.parameters and not actions:
+    if content.parameters and good and not actions:
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions
 

@@ -17,6 +17,7 @@ from ltsim.core.probability import p_text, two_sided
 from ltsim.core.units import FACTOR
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants
+from ltsim.physics.effects import card_of, find_effect
 from ltsim.physics.effects.verbs import effect_from
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import check_source
@@ -42,6 +43,8 @@ MOST_MARKED = 12
 """Largest number of targets that are marked in one picture."""
 LEAST_UM = 0.1
 """Threshold [um] below which the error that an undetectable effect causes in targets is negligible."""
+MOST_INSPECTIONS = 2
+"""Largest number of actions besides the use of the coordinates."""
 MOST_STEPS = 3
 """Smallest number of points that are drawn as a curve."""
 
@@ -69,6 +72,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number_, sentence(content.summary), pair, (before, after))
+    blocks += target_table(context.file(TARGETS.file, content), note="Adjusted with the findings in the model.")
     modelled = ", with the findings in the model" if content.findings else ""
     if constants := clear_constants(content.instruments):
         blocks.append(Note(f"Most significant constants of the instruments{modelled}", f"{'; '.join(constants)}."))
@@ -83,33 +87,44 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"Determined combinations{name}", entry.determined)
     blocks += _detectability(content)
-    blocks += target_table(context.file(TARGETS.file, content), note="Adjusted with the findings in the model.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
-    answer = sentence(content.summary)
+    answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
         what = listing([f"{a.effect.name} ({_place_of(a.effect)})" for a in truth.effects])
-        answer = f"This recording is simulated, with {what} injected on purpose. Blind diagnosis: {answer}"
+        notice = f"This recording is simulated. {what} was injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
         mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, terminal_blocks=shown,
-        actions=_actions(content),
+        actions=_actions(content), notice=notice,
     )  # fmt: skip
 
 
 def _actions(content: DiagnosisFile) -> list[str]:
-    """Next actions: measurements that separate explanations, then places to inspect."""
-    actions = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
-    for finding in content.findings:
-        where = finding.where
-        trackers = [f"instrument {name}" for name in where.instruments]
-        place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
-        follows = f" with {listing(where.covariates)}" if where.covariates else ""
-        unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
-        cause = f"the cause of {finding.effect}" if finding.is_catalogued else unnamed
-        todo = f"Exchange the names {listing(where.targets)} at" if _swapped(finding) else f"Look for {cause}"
-        place = listing(where.stations) if _swapped(finding) else f"({place})"
-        actions.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
-    return actions
+    """Next actions: the measurement that separates explanations, places to inspect, coordinates to use."""
+    if not content.findings:
+        return []
+    separate = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
+    inspect = [_inspection(finding) for finding in content.findings]
+    use = "Use the coordinates in targets.csv, which account for the findings."
+    return [*separate[:1], *dict.fromkeys(inspect[: MOST_INSPECTIONS - len(separate[:1])]), use]
+
+
+def _inspection(finding: Finding) -> str:
+    """Action at the place of a finding."""
+    where = finding.where
+    trackers = [f"instrument {name}" for name in where.instruments]
+    place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
+    if _swapped(finding):
+        return f"Exchange the names {listing(where.targets)} at {listing(where.stations)}."
+    if finding.effect == "noise-level":
+        return "Set the noise in setup.toml to the estimated values."
+    if finding.carrier.startswith("reference"):
+        return f"Check the {finding.carrier} ({place})."
+    follows = f" with {listing(where.covariates)}" if where.covariates else ""
+    title = f"change of the {finding.carrier or 'readings'}{follows}"
+    if finding.is_catalogued:
+        title = card_of(find_effect(finding.effect)).title
+    return f"Inspect {place} for the cause: {title[0].lower()}{title[1:]}."
 
 
 def _swapped(finding: Finding) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from ltsim.core.units import ARCSECOND
-from ltsim.simulation.physics import quantised, nominal_noise
+from ltsim.simulation.physics import nominal_noise, quantised
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import fieldwork, measure
 
