@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal
 
 from ltsim.core.results import Result, Table, columns_of
-from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
 from ltsim.recordings.specification import Specification
 
 
@@ -21,7 +21,7 @@ class TestEntry(Entry):
     """Maximum permissible error by the manufacturer's specification [um]."""
     error_um: Finite
     """Expected or measured error [um]; of a two-face test the distance across the beam."""
-    expanded_um: Known = None
+    expanded_um: OptionalFloat = None
     """Expanded uncertainty of the error for 95 % [um]; null where it was not reported."""
     passes: Finite
     """Probability that the error is within the limit; 1 or 0 for a measured error."""
@@ -66,7 +66,7 @@ class SensitivityEntry(Entry):
     """Unit of `prior_sigma` and `smallest_failing`."""
     prior_sigma: Finite
     """Prior standard deviation of the constant by the specification, in `unit`."""
-    smallest_failing: Known
+    smallest_failing: OptionalFloat
     """Size at which it fails a test; null where no test sees it."""
     test: str
     """The test that it fails first."""

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 from scipy import special
 
 from ltsim.calibration.schema import Fit
-from ltsim.recordings.result_file import Entry, Finite, Known, NotNegative, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
 class ChiSquareEntry(Entry):
@@ -64,7 +64,7 @@ class CourseEntry(Entry):
     """Estimates, one a calibration."""
     sigmas: tuple[NotNegative, ...]
     """Standard deviations of the estimates, one a calibration."""
-    prior_sigma: Known = None
+    prior_sigma: OptionalFloat = None
     """Prior standard deviation of the parameter."""
     mean: Finite
     """Weighted mean of the estimates."""

@@ -14,7 +14,7 @@ from ltsim.core.notation import number, with_sigma
 from ltsim.core.probability import format_p
 from ltsim.core.results import Table, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.recordings.result_file import Entry, Finite, Known, NotNegative, Positive, ResultFile, Sigma, Vector
+from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, Positive, ResultFile, Sigma, Vector
 
 COORDINATES = (
     *texts(target="name"),
@@ -44,9 +44,9 @@ class Fit(Entry):
     """Weighted sum of squares."""
     dof: int = 0
     """Degrees of freedom."""
-    sigma0: Known = None
+    sigma0: OptionalFloat = None
     """Square root of chi-square over degrees of freedom."""
-    p_value: Known = None
+    p_value: OptionalFloat = None
     """p-value: probability of as large a chi-square, near 1 where readings scatter less; printed two-sided."""
     iterations: int = 0
     """Steps of Gauss-Newton."""
@@ -54,7 +54,7 @@ class Fit(Entry):
     """`converged`, or why not."""
     sentence: str = ""
     """The same for a person."""
-    chi2_sigma: Known = None
+    chi2_sigma: OptionalFloat = None
     """Standard deviation of chi-square to expect, where that is not the root of 2 dof."""
 
 
@@ -75,7 +75,7 @@ class ParameterEntry(Entry):
     """Not estimated: held at this value."""
     prior_rejected: bool = False
     """The readings contradict the prior, and the estimate follows them."""
-    applied: Known = None
+    applied: OptionalFloat = None
     """Correction to apply to readings, in `unit`, where it differs from `value`."""
     instrument: str = ""
     """Name of the instrument, where there are several."""
@@ -92,9 +92,9 @@ class HarmonicEntry(Entry):
     """Standard deviation of the amplitude."""
     unit: str
     """Unit of the amplitude and of its standard deviation."""
-    phase_deg: Known = None
+    phase_deg: OptionalFloat = None
     """Phase of the harmonic [deg]: argument at which it has its maximum."""
-    sigma_phase_deg: Known = None
+    sigma_phase_deg: OptionalFloat = None
     """Standard deviation of the phase [deg]."""
     instrument: str = ""
     """Name of the instrument, where there are several."""
@@ -115,7 +115,7 @@ class Terms(Entry):
 class Combination(Terms):
     """A combination of parameters, in prior sigmas, that is not determined."""
 
-    gain: Known = None
+    gain: OptionalFloat = None
     """Share of the prior variance that the readings removed."""
     cure: str = ""
     """The measurement that would determine it."""
@@ -126,7 +126,7 @@ class DeterminedEntry(Terms):
 
     value: Finite
     """Its size."""
-    sigma: Known = None
+    sigma: OptionalFloat = None
     """Its standard deviation."""
     unit: str = ""
     """Unit of value and standard deviation."""
@@ -139,13 +139,13 @@ class StationPose(Entry):
 
     name: str
     """Its name."""
-    position_mm: tuple[Known, Known, Known]
+    position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat]
     """In the frame that the file names; no height where it was adjusted in plan only."""
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
     """From instrument to network."""
-    sigma_position_mm: tuple[Known, Known, Known] | None = None
+    sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
     """Standard deviation of each coordinate [mm]."""
-    sigma_rotation_arcsec: tuple[Known, Known, Known] | None = None
+    sigma_rotation_arcsec: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
     """Standard deviation of the rotation about each axis [arcsec]."""
 
     @property
@@ -197,7 +197,7 @@ class OutlierRow(Entry):
     """Unit of the size."""
     w: Finite
     """Normalised residual."""
-    p_value: Known = None
+    p_value: OptionalFloat = None
     """p-value, corrected for all readings, by the test that the verdict trusts; none where excluded."""
     gross: bool = False
     """It is the largest residual of a whole pointing that was excluded."""
@@ -218,9 +218,9 @@ class ReferenceValueEntry(Entry):
     """Declared minus adjusted value."""
     error: Finite
     """Estimated error of the value, from all other observations."""
-    sigma_error: Known = None
+    sigma_error: OptionalFloat = None
     """Standard deviation of the error; null without redundancy."""
-    minimal_detectable: Known = None
+    minimal_detectable: OptionalFloat = None
     """Smallest error that the test detects with probability 80 %."""
     unit: str
     """Unit of residual, error, its standard deviation and `minimal_detectable`."""
@@ -241,7 +241,7 @@ class NoiseRow(Entry):
     """Name of the instrument, where there are several."""
     factor: Finite
     """Factor on the declared standard deviations."""
-    factor_sigma: Known = None
+    factor_sigma: OptionalFloat = None
     """Standard deviation of the factor."""
     redundancy: Finite
     """Redundancy of the group's readings together."""

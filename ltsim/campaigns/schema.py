@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ltsim.campaigns.design import Factor
 from ltsim.core.results import Column, Table, columns_of, numbers, texts
-from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -164,7 +164,7 @@ class RecoveryCheck(Entry):
     """Subject of the check: a parameter, or chi-square, targets, stations."""
     statistic: str
     """Name of the number that is checked, such as the mean z-score."""
-    value: Known
+    value: OptionalFloat
     """Value of the number."""
     low: Finite
     """Lower bound of the number."""

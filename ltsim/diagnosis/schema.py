@@ -10,7 +10,7 @@ from ltsim.calibration.schema import COORDINATES, RESIDUALS, DeterminedEntry
 from ltsim.core.results import Table, numbers
 from ltsim.core.units import FACTOR
 from ltsim.physics.effects.signature import Parameter, ShapeParameter
-from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
 
 TARGETS = Table(
     "targets.csv",
@@ -45,11 +45,11 @@ class Evidence(Entry):
     """Decrease of chi-square with the finding modelled."""
     parameters: int
     """Number of parameters that this takes."""
-    p_value: Known = None
+    p_value: OptionalFloat = None
     """p-value in the whole search: share of n simulated clean recordings, never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this name against all other explanations."""
-    p_located: Known = None
+    p_located: OptionalFloat = None
     """Probability of an effect on these observables, at this place and with these covariates, whatever its name."""
 
     @property
@@ -114,7 +114,7 @@ class Finding(Entry):
     """Scope of the finding."""
     parameters: tuple[Estimate, ...] = ()
     """Its size."""
-    target_shift_rms_um: Known = None
+    target_shift_rms_um: OptionalFloat = None
     """Displacement of the targets where it is not modelled [um]: rms after the best rigid fit."""
     evidence: Evidence
     """Strength of the evidence."""
@@ -135,13 +135,13 @@ class Finding(Entry):
 class GlobalTest(Entry):
     """The test of the whole model."""
 
-    statistic: Known
+    statistic: OptionalFloat
     """Chi-square."""
     dof: int
     """Degrees of freedom."""
-    p_value: Known
+    p_value: OptionalFloat
     """p-value: probability of as large a chi-square or larger; pages print the two-sided one."""
-    search_p_value: Known = None
+    search_p_value: OptionalFloat = None
     """p-value of the whole search."""
 
 
@@ -152,7 +152,7 @@ class Misfit(Entry):
     """Weighted sum of squares."""
     dof: int
     """Degrees of freedom."""
-    held_out_rms: Known = None
+    held_out_rms: OptionalFloat = None
     """Error on five parts of the pointings, left out in turn and predicted by a fit and search without them, over the
     the larger of the declared and the estimated noise."""
 
@@ -173,9 +173,9 @@ class Undetectable(Entry):
     """Id of the catalogue."""
     reason: str = ""
     """Why it leaves no trace here."""
-    undetected_target_error_um: Known = None
+    undetected_target_error_um: OptionalFloat = None
     """Error of the targets that a bad but plausible size of it hides."""
-    detectable_at_factor: Known = None
+    detectable_at_factor: OptionalFloat = None
     """Multiple of a bad but plausible size from which it would be detected; null where it is never detectable."""
     cure: str = ""
     """The measurement that would help."""
@@ -188,7 +188,7 @@ class DetectableEntry(Entry):
     """Id of the catalogue."""
     parameter: str = ""
     """Name of the parameter."""
-    size: Known
+    size: OptionalFloat
     """Smallest detectable size, in `unit`."""
     unit: str = ""
     """Unit of the size."""

@@ -21,7 +21,7 @@ from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
 from ltsim.core.results import Column, Result, Table, numbers
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
-from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
 DISPLACEMENTS = Table(
     "displacements.csv",
@@ -63,7 +63,7 @@ class Displacement(Entry):
     """p-value of no displacement, with the other displaced points modelled, corrected for all points tested."""
     visible_um: tuple[Finite, Finite]
     """Smallest displacement that is detected with a probability of 80 % [um]: in the best and the worst direction."""
-    point_chi2: Known = None
+    point_chi2: OptionalFloat = None
     """Chi-square of the point's separate difference between epochs in one frame, whatever the other points did."""
 
     @property
@@ -93,7 +93,7 @@ class Comparison(ResultFile, Result):
     """p-value of the global test."""
     p_value_after: Finite
     """p-value of the same test without the points that moved."""
-    scale_ppm: Known = None
+    scale_ppm: OptionalFloat = None
     """Scale of the second epoch [ppm]; null where it was not estimated."""
     notes: tuple[str, ...] = ()
     """Assumptions about the epochs: motions that they leave undetermined, names that are exchanged."""

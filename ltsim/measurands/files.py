@@ -10,7 +10,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import expanded
 from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.measurands.spec import Decision, Tolerance
-from ltsim.recordings.result_file import Entry, Known, ResultFile
+from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
 RESULTS = Table(
     "uncertainty.csv",
@@ -153,11 +153,11 @@ class UncertaintyFile(ResultFile):
     """Number of Monte Carlo trials in the propagation of distributions."""
     frame: str
     """Reference frame of all coordinates."""
-    sigma0: Known
+    sigma0: OptionalFloat
     """Root of chi-square over degrees of freedom of the adjustment that the points come from; null without one."""
     results: tuple[TaskResult, ...]
     """One a number."""
-    correlation: tuple[tuple[Known, ...], ...]
+    correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation of the results, in their order."""
     warnings: tuple[str, ...] = ()
     """Warnings to heed before the numbers are used."""

@@ -17,7 +17,7 @@ from ltsim.planning.schema import (
     ProposalEntry,
 )
 from ltsim.planning.tolerances import percent
-from ltsim.recordings.result_file import Finite, Known, ResultFile
+from ltsim.recordings.result_file import Finite, OptionalFloat, ResultFile
 
 
 class PlanResult(ResultFile, LayoutEntry, Result):
@@ -40,7 +40,7 @@ class PlanResult(ResultFile, LayoutEntry, Result):
     """The fewest that match the scenario's own layout."""
     tradeoff: tuple[OptionEntry, ...] = ()
     """All ways of working that were tried, the cheapest first."""
-    starts: tuple[Known, ...] = ()
+    starts: tuple[OptionalFloat, ...] = ()
     """Value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[PlanChange, ...] = ()
     """Changes of one reflector that help, the best first, then reflectors that can be left out."""

@@ -7,9 +7,9 @@ from pydantic import Field
 from ltsim.calibration.schema import Combination
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.result_file import Entry, Finite, Known, Vector
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Vector
 
-Qualities = dict[str, Known]
+Qualities = dict[str, OptionalFloat]
 
 
 def in_millimetres(place: Floats, decimals: int = 1) -> Vector:
@@ -27,7 +27,7 @@ class StationEntry(Entry):
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
-    sigma_position_um: tuple[Known, ...] = ()
+    sigma_position_um: tuple[OptionalFloat, ...] = ()
     """Expected standard deviation of x, y and z."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
@@ -40,19 +40,19 @@ class ReflectorEntry(Entry):
     """Name of the reflector."""
     position_mm: Vector
     """Centre of the reflector, in the workshop's frame."""
-    sigma_um: Known
+    sigma_um: OptionalFloat
     """Expected standard deviation of the point: square root of the trace of its covariance."""
-    u_um: tuple[Known, ...] = Field(default=(), alias="U_um")
+    u_um: tuple[OptionalFloat, ...] = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
     visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
-    within_mm: Known = None
+    within_mm: OptionalFloat = None
     """Distance that the point error does not exceed at the confidence level of the goal; of points with a tolerance."""
-    tolerance_mm: Known = None
+    tolerance_mm: OptionalFloat = None
     """Tolerance of the point error."""
-    used: Known = None
+    used: OptionalFloat = None
     """Point error over its tolerance: `within_mm` / `tolerance_mm`; 1 at the limit."""
     met: bool | None = None
     """True where the tolerance is kept; null without any."""
@@ -69,7 +69,7 @@ class PlannedParameterEntry(Entry):
     """Expected standard deviation after calibration."""
     prior_sigma: Finite
     """Standard deviation before any reading."""
-    gain: Known = None
+    gain: OptionalFloat = None
     """Share of the prior variance that the readings would remove."""
 
 
@@ -123,7 +123,7 @@ class OptionEntry(WorkEntry):
 
     stations: int
     """Number of stations."""
-    value: Known = None
+    value: OptionalFloat = None
     """Objective of the layout; smaller is better."""
     efficient: bool = False
     """True where no cheaper way of working is as good."""
@@ -140,17 +140,17 @@ class DetectableSize(Entry):
     """Name of the parameter."""
     unit: str = ""
     """Unit of the sizes."""
-    best: Known = None
+    best: OptionalFloat = None
     """Minimal detectable size at the best place or shape."""
-    typical: Known = None
+    typical: OptionalFloat = None
     """Minimal detectable size at the median place or shape."""
-    worst: Known = None
+    worst: OptionalFloat = None
     """Minimal detectable size at the worst place or shape."""
     worst_at: str = ""
     """Worst place or shape: station, target or shape."""
     plausible: Finite = 0.0
     """A large but plausible size of the effect."""
-    visible: Known = None
+    visible: OptionalFloat = None
     """Median share of the effect's signature that remains in the residuals."""
 
 
@@ -204,7 +204,7 @@ class LossEntry(Entry):
     """Lost station or sight, in words."""
     met: bool
     """True where all tolerances hold after the loss."""
-    ratio: Known = None
+    ratio: OptionalFloat = None
     """Largest point error over its tolerance; null where a point is no longer determined."""
     worst: str = ""
     """The point with that ratio."""
@@ -235,5 +235,5 @@ class ProposalEntry(Entry):
     """True where it would distinguish all of them from the first."""
     position_mm: Vector | None = None
     """Position of the head at a new set-up, in the workshop's frame; null for other measurements."""
-    yaw_deg: Known = None
+    yaw_deg: OptionalFloat = None
     """Direction of azimuth zero at a new set-up; null for other measurements."""

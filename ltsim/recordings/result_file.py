@@ -45,7 +45,7 @@ def finite_or_none(value: Any) -> Any:
 
 
 Finite = FiniteFloat
-Known = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
+OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
 """A number, or null where there is none: JSON has neither NaN nor infinities."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]

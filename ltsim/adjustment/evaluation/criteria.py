@@ -27,7 +27,7 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
-from ltsim.recordings.result_file import Entry, Known, ResultFile
+from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
 MOST_PLACES = 20_000_000
 """Stations times targets whose clouds (0.5 GB then) are compared."""
@@ -130,9 +130,9 @@ class Criteria(Result):
 class SpreadEntry(Entry):
     """Disagreement between stations [um]."""
 
-    mean_um: Known = None
+    mean_um: OptionalFloat = None
     """Mean over pairs or targets."""
-    max_um: Known = None
+    max_um: OptionalFloat = None
     """Largest."""
 
 
@@ -143,7 +143,7 @@ class CriterionEntry(Entry):
     """Readings as they are."""
     after: SpreadEntry = SpreadEntry()
     """Readings corrected."""
-    improvement_percent: Known = None
+    improvement_percent: OptionalFloat = None
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
 

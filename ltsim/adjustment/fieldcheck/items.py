@@ -9,7 +9,7 @@ from scipy import special
 
 from ltsim.adjustment.identification.tests import Test
 from ltsim.core.results import Table, numbers, texts
-from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
 
 Kind = Literal[
     "cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"
@@ -29,7 +29,7 @@ class Item(Entry):
     """True where the item is no reason against going on."""
     sentence: str
     """For a person, with units."""
-    p_value: Known = None
+    p_value: OptionalFloat = None
     """Chance of as much by noise, paid for all that was looked at."""
     targets: tuple[str, ...] = ()
     """Targets that stand out."""

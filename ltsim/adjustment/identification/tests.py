@@ -19,7 +19,7 @@ from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.recordings.result_file import Entry, Finite, Known
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 from ltsim.solve.design import as_dense
 
 
@@ -56,17 +56,17 @@ class Test(Entry):
     """Fall of chi-square; twice the log likelihood ratio for noise and mistakes."""
     dof: int
     """Components that are tested."""
-    p_value: Known = None
+    p_value: OptionalFloat = None
     """Chance of as large a statistic without it, one test alone."""
-    estimate: Known = None
+    estimate: OptionalFloat = None
     """Size."""
-    sigma: Known = None
+    sigma: OptionalFloat = None
     """Its standard deviation."""
     unit: str = ""
     """Unit of the estimate and of its standard deviation."""
     rows: tuple[int, ...] = ()
     """Rows of the recording, from 1, where they are few."""
-    probability: Known = None
+    probability: OptionalFloat = None
     """Posterior probability among the alternatives."""
     alternatives: tuple[Alternative, ...] = ()
     """Alternative hypotheses fitted in its place, those with a posterior probability above 1 %."""
