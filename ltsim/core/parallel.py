@@ -1,22 +1,16 @@
 """Parallel work: functions in worker processes that exit with their parent, even if the parent is killed."""
 
 import os
-import struct
-import tempfile
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import WorkerError, option
 
-PROGRESS_INTERVAL = 0.3
-"""Time [s] between two reports of the progress of parallel work."""
 PARENT_CHECK_INTERVAL = 1.0
 """Time [s] between two checks of a worker that its parent process still runs."""
 SAFE_PATH = "PYTHONSAFEPATH"
@@ -80,55 +74,6 @@ def _safe_path() -> Iterator[None]:
             del os.environ[SAFE_PATH]
         else:
             os.environ[SAFE_PATH] = before
-
-
-@dataclass(frozen=True)
-class ProgressWriter:
-    """Progress of several tasks in a shared file, each task written by its worker process."""
-
-    path: Path
-    """File of the fractions done, one float64 per task."""
-
-    def write(self, piece: int, share: float) -> None:
-        """Record the fraction of a task that is done."""
-        with self.path.open("r+b") as file:
-            file.seek(8 * piece)
-            file.write(struct.pack("d", share))
-
-    def mean(self) -> float:
-        """Mean fraction done over all tasks."""
-        shares = [share for (share,) in struct.iter_unpack("d", self.path.read_bytes())]
-        return sum(shares) / max(len(shares), 1)
-
-
-@contextmanager
-def track_progress(count: int, report: Callable[[float], None]) -> Iterator[ProgressWriter]:
-    """Progress of `count` tasks; `report` is called with the mean fraction done, periodically and from another thread.
-
-    An exception that `report` raises is raised again at the end of the context.
-    """
-    done, problems = threading.Event(), []
-    with tempfile.TemporaryDirectory() as folder:
-        notes = ProgressWriter(Path(folder) / "shares")
-        notes.path.write_bytes(bytes(8 * count))
-
-        def look() -> None:
-            try:
-                while not done.wait(PROGRESS_INTERVAL):
-                    report(notes.mean())
-            except Exception as problem:
-                problems.append(problem)
-
-        thread = threading.Thread(target=look, daemon=True)
-        thread.start()
-        try:
-            yield notes
-        finally:
-            done.set()
-            thread.join()
-        if problems:
-            raise problems[0]
-        report(notes.mean())
 
 
 def _watch(parent: int) -> None:

@@ -14,7 +14,7 @@ from ltsim.planning.planner import StationCountResult, TradeoffPoint, judge, mea
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Placement, SearchSpace
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, expected_seconds, gathered, search_from_start
+from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, gathered, search_from_start
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Tolerances, is_feasible
 from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
@@ -42,7 +42,7 @@ class Follower:
 
     progress: Progress = quiet
     say: Callable[[str], None] = quiet
-    """Callback for sentences: the expected duration, the best layout so far."""
+    """Callback for sentences on the best layout so far."""
     keep: Callable[[Survey], None] = quiet
     """Callback for the best layout so far."""
 
@@ -101,7 +101,7 @@ class _Search:
         def keep(survey: Survey, value: float) -> None:
             lengths = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
             words = f"weighted point error {value / MICROMETRE:.1f} um" if lengths else f"quality {value:.4g}"
-            self.heard.say(f"best so far: {len(survey.position)} stations, {words}")
+            self.heard.say(f"best layout so far: {len(survey.position)} stations, {words}")
             self.heard.keep(survey)
 
         def progress(done: float) -> None:
@@ -127,7 +127,6 @@ class _Search:
             for n in sorted({*file.stations.tradeoff_counts, count})
             for start in range(settings.starts if (n, f) == (count, usual_faces) else settings.tradeoff_starts)
         ]
-        self._estimate(tasks)
         self._gather(tasks, lambda share: share)
         if (count, usual_faces) not in self.layouts and not self.stopped:
             search_from_start(
@@ -169,8 +168,6 @@ class _Search:
                 self.tried.append(StationCountResult(n, None, False, lacking))
                 continue
             tasks = [SearchTask(n, f, start) for f in faces for start in range(file.search.starts)]
-            if not k:
-                self._estimate(tasks, f" for {n} stations, as long again and more for each further number")
             # Few stations are likely enough: each further number counts half of what is left.
             made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
             options = self.options({key: self._nearest(layouts, demands) for key, layouts in made.items()})
@@ -221,14 +218,6 @@ class _Search:
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.max_count"
         return "the search found no layout; widen the floor or give more stations.max_count"
-
-    def _estimate(self, tasks: Sequence[SearchTask], what: str = "") -> None:
-        if self.heard.say is quiet:
-            return
-        seconds = expected_seconds(self.problem, tasks) / min(self.jobs, len(tasks))
-        time = f"{max(seconds, 5):.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-        count = f"{len(tasks)} search{'es' if len(tasks) > 1 else ''}"
-        self.heard.say(f"{count}: about {time}{what}; Ctrl-C ends the search and keeps the best layout so far")
 
     def options(self, layouts: Layouts) -> tuple[TradeoffPoint, ...]:
         """The best layout of every way of working, with each number of repeats; cheapest first."""

@@ -135,12 +135,10 @@ class LayoutSearcher:
         self._steps += 1
         self.tell(1.0 - PACE**self._steps)
 
-    def replacements(
-        self, layout: NormalBlocks, slot: int, candidates: NormalBlocks, *, anywhere: bool = False
-    ) -> Floats:
+    def replacements(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> Floats:
         """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
         count, (position, visible) = len(candidates.position), _with_each(layout, slot, candidates)
-        good = np.arange(count) if anywhere else np.flatnonzero(self.site.feasible(position, visible))
+        good = np.flatnonzero(self.site.feasible(position, visible))
         values = np.full(count, np.inf)
         chosen = np.tile(np.arange(self.stations), (len(good), 1))
         chosen[:, slot] = self.stations + good

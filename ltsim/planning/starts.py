@@ -1,10 +1,7 @@
 """Searches from many starts, in one process or in several: the layouts that they find for each way of working."""
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from time import monotonic
 
@@ -13,7 +10,7 @@ import numpy as np
 from ltsim.adjustment.remedies.next_measurement import quiet
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.parallel import ProgressWriter, parallel, track_progress
+from ltsim.core.parallel import parallel
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, PlannedLayout
@@ -28,13 +25,9 @@ from ltsim.simulation.scenario import Scenario
 ROUNDS = 2
 """Times stations and reflectors are chosen in turn."""
 SAYS = 5.0
-"""[s] between two words on the best layout so far."""
+"""Shortest time [s] between two reports of the best layout so far."""
 WORTH = 0.01
-"""By how much, relative, a layout must be better to be worth a word."""
-SAMPLE, AROUND = 480, 24
-"""Set-ups that are tried at once for an estimate: of a grid, and around a station."""
-SWEEPS, MOVES = 3.0, 14.0
-"""Rounds of exchanges, and of moves off the grid, that a search usually takes."""
+"""Relative improvement of the objective from which a layout is reported."""
 
 Layout = tuple[float, Survey]
 """Value and survey of a layout."""
@@ -83,70 +76,65 @@ def gathered(
     share: Callable[[float], None],
     keep: Callable[[Survey, float], None],
 ) -> tuple[Layouts, bool]:
-    """The layouts that searches found, and whether Ctrl-C ended them: these are then the best so far.
+    """Layouts of searches, and True where Ctrl-C ended them; results arrive as the searches end.
 
-    `share` hears the share of the whole that is done; `keep` is given the best layout so far and its value, from a
-    thread of its own.
+    `share` receives the share of the whole that is done, `keep` each better layout and its value. With one job the
+    search runs in this process: it reports its progress too, and Ctrl-C keeps its best layout so far.
     """
-    done: dict[int, Layout] = {}
-    stopped, reported, last = False, np.inf, -np.inf
+    best: dict[int, Layout] = {}
+    finished, stopped, reported, last = 0, False, np.inf, -np.inf
 
-    def best_so_far(notes: ProgressWriter) -> dict[int, Layout]:
-        """Best layout of each running search, from the notes of its process."""
-        rows = {number: np.load(path) for number in range(len(tasks)) if (path := _note(notes, number)).is_file()}
-        return {
-            k: (float(row[0, 0]), _moved(problem.site(tasks[k]), row[1:, :3], row[1:, 3])) for k, row in rows.items()
-        }
-
-    def look(done_share: float) -> None:
+    def better(number: int, value: float, survey: Survey) -> None:
         nonlocal reported, last
-        share(done_share)
-        if monotonic() - last < SAYS:
-            return
-        last = monotonic()
-        value, survey = min((best_so_far(notes) | done).values(), key=lambda layout: layout[0], default=(np.inf, None))
-        if survey is not None and value < reported * (1 - WORTH):
-            reported = value
+        best[number] = value, survey
+        if value < reported * (1 - WORTH) and monotonic() - last >= SAYS:
+            reported, last = value, monotonic()
             keep(survey, value)
 
-    with track_progress(len(tasks), lambda done_share: look(done_share)) as notes:
-        jobs = min(jobs, len(tasks))
-        work = ((problem, task, notes, number, jobs == 1) for number, task in enumerate(tasks))
-        try:
-            for number, layout in parallel(_task, work, jobs, ordered=False):
-                done |= {number: layout} if layout is not None else {}
-        except KeyboardInterrupt:
-            stopped, done = True, best_so_far(notes) | done
+    def running(number: int) -> tuple[Callable[[float], None], Callable[[PlannedLayout], None]]:
+        """Callbacks of a search in this process: share that is done, better layout."""
+        site = problem.site(tasks[number])
+        return (
+            lambda part: share((finished + part) / len(tasks)),
+            lambda layout: better(number, layout.value, _moved(site, layout.position, layout.yaw)),
+        )
+
+    jobs = min(jobs, len(tasks))
+    work = ((problem, task, n, *(running(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
+    try:
+        for number, layout in parallel(_task if jobs == 1 else _task_of_worker, work, jobs, ordered=False):
+            finished += 1
+            share(finished / len(tasks))
+            best.pop(number, None)
+            if layout is not None:
+                better(number, *layout)
+    except KeyboardInterrupt:
+        stopped = True
     layouts: Layouts = {}
-    for number, (value, survey) in sorted(done.items()):
+    for number, (value, survey) in sorted(best.items()):
         task = tasks[number]
         layouts.setdefault((task.stations, task.faces), []).append((value, task.start, survey))
     return layouts, stopped
 
 
-def _note(notes: ProgressWriter, number: int) -> Path:
-    return notes.path.with_name(f"{number}.npy")
-
-
 def _task(
-    problem: PlanningProblem, task: SearchTask, notes: ProgressWriter, number: int, here: bool
+    problem: PlanningProblem,
+    task: SearchTask,
+    number: int,
+    tell: Callable[[float], None] = quiet,
+    keep: Callable[[PlannedLayout], None] = quiet,
 ) -> tuple[int, Layout | None]:
-    """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
-    if not here:  # in a process of its own: Ctrl-C is for the one that gathers
-        signal(SIGINT, SIG_IGN)
-
-    def keep(layout: PlannedLayout) -> None:
-        rows = np.column_stack([layout.position, layout.yaw])
-        half = notes.path.with_name(f"{number}.half.npy")
-        np.save(half, np.concatenate([np.full((1, 4), layout.value), rows]))
-        half.replace(_note(notes, number))
-
+    """Layout of one start; None where the rules allow none, or ranges from so few stations determine none."""
     try:
-        return number, search_from_start(problem, task, partial(notes.write, number), keep)
+        return number, search_from_start(problem, task, tell, keep)
     except (SetupError, NetworkError):
         return number, None
-    finally:
-        notes.write(number, 1.0)
+
+
+def _task_of_worker(problem: PlanningProblem, task: SearchTask, number: int) -> tuple[int, Layout | None]:
+    """Layout of one start in a worker process, where Ctrl-C is left to the process that gathers."""
+    signal(SIGINT, SIG_IGN)
+    return _task(problem, task, number)
 
 
 def search_from_start(
@@ -173,36 +161,3 @@ def search_from_start(
 
 def _moved(site: SearchSpace, position: Floats, yaw: Floats) -> Survey:
     return site.survey.replace(position=position, yaw=yaw, visible=site.visible(position))
-
-
-def expected_seconds(problem: PlanningProblem, tasks: Sequence[SearchTask]) -> float:
-    """Expected duration [s] of searches, one after the other, from timing a sample of their steps."""
-    ways = Counter((task.stations, task.faces) for task in tasks)
-    return sum(count * _seconds_of_search(problem, SearchTask(*way, 0)) for way, count in ways.items())
-
-
-def _seconds_of_search(problem: PlanningProblem, task: SearchTask) -> float:
-    site = problem.site(task)
-    work = problem.searcher(site)
-    places = site.places(work.step, work.heights)
-    if not len(places):
-        return 0.0
-    looked, built, valued = _seconds_of_setups(work, places, task.stations, SAMPLE)
-    setups, free = len(places) * work.yaws, task.stations - len(site.fixed)
-    exchanges = len(places) * looked + setups * (built + SWEEPS * free * valued)
-    few = _seconds_of_setups(work, places, task.stations, AROUND)
-    return float(exchanges + MOVES * free * AROUND * few.sum())
-
-
-def _seconds_of_setups(work: LayoutSearcher, places: Floats, stations: int, count: int) -> Floats:
-    """Seconds (3,) a set-up takes among so many at once: to see what it sees, to be made, to be valued in a layout."""
-    sample = places[np.linspace(0, len(places) - 1, count).astype(int)]
-    for _ in range(2):  # what the first calls load is no part of the work
-        times = [monotonic()]
-        visible = work.site.visible(sample)
-        times.append(monotonic())
-        pool = work.pool(sample, np.zeros(count), 0, visible)
-        times.append(monotonic())
-        work.replacements(pool.take(np.arange(stations)), 0, pool, anywhere=True)
-        times.append(monotonic())
-    return np.diff(times) / count

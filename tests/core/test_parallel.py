@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.core.errors import WorkerError
-from ltsim.core.parallel import ProgressWriter, parallel, track_progress
+from ltsim.core.parallel import parallel
 
 SLEEPERS = """
 import os, sys, time
@@ -26,22 +26,6 @@ def sleep(name):
 if __name__ == "__main__":
     list(parallel(sleep, [("a",), ("b",)], 2))
 """
-
-
-def note(notes: ProgressWriter, piece: int) -> None:
-    notes.write(piece, 1.0)
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_whoever_watches_hears_how_far_each_piece_is(jobs: int) -> None:
-    heard: list[float] = []
-    with track_progress(4, heard.append) as notes:
-        notes.write(0, 0.5)
-        assert notes.mean() == 0.125
-        list(parallel(note, [(notes, k) for k in range(3)], jobs))
-        assert notes.mean() == 0.75
-    assert heard[-1] == 0.75
-    assert heard == sorted(heard)
 
 
 def test_results_come_in_order_and_as_they_come() -> None:

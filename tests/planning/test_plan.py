@@ -78,7 +78,7 @@ def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: Plan) -
     content = plan_file(plan)
     factor = plan.reference.qualities["instrument"] / plan.chosen.qualities["instrument"]
     assert factor > 1.05
-    assert any(f"{factor:.2f} times better for instrument" in sentence for sentence in content.reasons)
+    assert any(f"the quality of instrument is {factor:.2f} times better" in sentence for sentence in content.reasons)
     assert len(content.stations) == 4
     assert content.quality["instrument"] == pytest.approx(plan.chosen.value)
 
@@ -192,8 +192,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
     assert made.chosen.survey.position == pytest.approx(position)
     assert made.chosen.value == pytest.approx(value, rel=1e-6)
     assert plan_file(made).reasons[-1].startswith("The search was stopped")
-    assert said[0].startswith("1 search: about ")
-    assert "Ctrl-C ends the search and keeps the best layout so far" in said[0]
+    assert said and said[0].startswith("best layout so far: 3 stations")
 
 
 def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
