@@ -88,7 +88,7 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
         "minutes": round(best.remedy.seconds / 60, 1),
         "evidence_before": " ".join(f"{value:.1f}" for value in proposals.evidence_now.values()),
         "evidence_after": " ".join(f"{value:.1f}" for value in best.evidence.values()),
-        "tells_apart": " ".join(best.tells_apart),
+        "tells_apart": " ".join(best.distinguishes),
     }
     return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
 
