@@ -101,9 +101,9 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
     }  # fmt: skip
     (place / "truth.json").write_text(json.dumps(truth))
     content = document(place)
-    assert content.notice.startswith("This recording is simulated. station-settling (S3) was injected on purpose")
+    assert content.notice.startswith("This recording is simulated, with station-settling (S3) injected on purpose")
     html = render(content)
-    assert html.index(content.notice) < html.index(content.answer)
+    assert html.index(content.notice) < html.index('<div class="answer')
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
     rows = {row[0]: row[1:] for row in table.rows}

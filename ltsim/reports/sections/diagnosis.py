@@ -91,7 +91,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
         what = listing([f"{a.effect.name} ({_place_of(a.effect)})" for a in truth.effects])
-        notice = f"This recording is simulated. {what} was injected on purpose; the diagnosis does not read the truth."
+        notice = f"This recording is simulated, with {what} injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
         mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, terminal_blocks=shown,
