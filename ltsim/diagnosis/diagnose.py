@@ -10,7 +10,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import Selection, identified, outcomes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.singular import refusing_singular
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.errors import RecordError
