@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.frame import on_a_line
 from ltsim.adjustment.prior import ParameterPrior
@@ -25,6 +24,7 @@ from ltsim.adjustment.reliability import (
     redundancy_of,
 )
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
+from ltsim.adjustment.stochastic_model import Component
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result

@@ -7,7 +7,6 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.components import Component, Grouping, estimated_components
 from ltsim.adjustment.datum import InnerDatum, about, chosen_datum, moved_to_datum
 from ltsim.adjustment.frame import misses
 from ltsim.adjustment.prior import ParameterPrior
@@ -15,8 +14,9 @@ from ltsim.adjustment.problem import WEAK, NetworkProblem
 from ltsim.adjustment.reference_tests import KINDS, SIGMAS, ReferenceTest, snoop_references
 from ltsim.adjustment.reference_values import Kind
 from ltsim.adjustment.rows import Marks
-from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.snooping import copied_rows, drop_undetermined, screen_gross_errors, snoop_readings
+from ltsim.adjustment.stochastic_model import Component, Grouping, estimated_components
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.units import MILLIMETRE

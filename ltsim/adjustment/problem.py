@@ -18,8 +18,7 @@ from ltsim.adjustment.rows import (
     YawRows,
     free_motions,
 )
-from ltsim.adjustment.structure import NetworkRows
-from ltsim.adjustment.unknowns import Unknowns
+from ltsim.adjustment.structure import NetworkRows, Unknowns
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix

@@ -10,9 +10,9 @@ import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
-from ltsim.adjustment.robust import HUBER, STILL
-from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.start import initial_network
+from ltsim.adjustment.stochastic_model import HUBER, STILL
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import holds_pose

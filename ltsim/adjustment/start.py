@@ -2,8 +2,16 @@
 
 import numpy as np
 
-from ltsim.adjustment.bearings import Lines, loose_lines, meeting_point, plan_of
-from ltsim.adjustment.fitting import Sight, fit_point, fit_pose, multilaterate
+from ltsim.adjustment.fitting import (
+    Lines,
+    Sight,
+    fit_point,
+    fit_pose,
+    loose_lines,
+    meeting_point,
+    multilaterate,
+    plan_of,
+)
 from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, flat_points, on_a_line, upright_alignment
 from ltsim.core.arrays import Bools, Floats, Ints, grouped
 from ltsim.core.errors import NetworkError

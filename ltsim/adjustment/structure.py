@@ -1,16 +1,74 @@
-"""Structure of a network: readings, known values, and the unknowns that these leave undetermined in any geometry."""
+"""Structure of a network: columns of the unknowns, undetermined unknowns, refusal of singular networks."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
 from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, Marks, YawRows
-from ltsim.adjustment.unknowns import Unknowns
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
 from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
+
+    Set-ups over one mark share the columns of their position, with the target where that mark is one.
+    """
+
+    pose: Ints
+    """(S, 6): translation, then rotation."""
+    target: Ints
+    """(T, 3): targets of known lengths and differences and those under a set-up are kept, all others are eliminated
+    block by block."""
+    instrument: Ints
+    """(I, p)."""
+    extra: Ints
+    """(q,)."""
+    n_reduced: int
+    """Number of kept columns K."""
+    size: int
+    """Number of all columns."""
+
+    @property
+    def places(self) -> Ints:
+        """(T + S + 1, 3): columns of the places of targets and set-ups; any for the origin, which is no unknown."""
+        return np.concatenate([self.target, self.pose[:, :3], self.pose[:1, :3]])
+
+    @classmethod
+    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks, differences: DifferenceRows) -> Unknowns:
+        """The unknowns of a model."""
+        recording, over = model.recording, marks.target >= 0
+        stations, targets = len(recording.stations), len(recording.targets)
+        size = 0
+
+        def fresh(rows: int, width: int) -> Ints:
+            nonlocal size
+            first, size = size, size + rows * width
+            return np.arange(first, size).reshape(rows, width)
+
+        has_columns = np.ones((stations, 6), dtype=bool)
+        has_columns[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
+        keep = np.zeros(targets, dtype=bool)
+        difference_ends = differences.ends[differences.ends < targets]
+        keep[np.concatenate([gauge.first, gauge.second, marks.target[over], difference_ends])] = True
+        pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
+        pose[has_columns] = fresh(int(has_columns.sum()), 1)[:, 0]
+        target[keep] = fresh(int(keep.sum()), 3)
+        instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
+        n_reduced = size
+        target[~keep] = fresh(int((~keep).sum()), 3)
+        pose[over, :3] = target[marks.target[over]]
+        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
+        return cls(pose, target, instrument, extra, n_reduced, size)
+
 
 UPRIGHT = 1.0 - 1e-8
 """Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
@@ -181,3 +239,35 @@ def _scale_target(network: NetworkRows) -> Ints:
     recording, rows = network.model.recording, np.flatnonzero(network.use[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first]
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def refusing_singular(function: Callable[Concatenate[Recording, P], R]) -> Callable[Concatenate[Recording, P], R]:
+    """A function of a recording that raises NetworkError where its matrices are singular beyond what it handles."""
+
+    @wraps(function)
+    def refusing(recording: Recording, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(recording, *args, **kwargs)
+        except np.linalg.LinAlgError:
+            raise NetworkError(_sentence(recording)) from None
+
+    return refusing
+
+
+def _sentence(recording: Recording) -> str:
+    """The weakest station and target of a network, by their readings."""
+    count = recording.measured.sum(axis=1)
+    stations = np.bincount(recording.station, count, len(recording.stations))
+    targets = np.bincount(recording.target, count, len(recording.targets))
+    weakest = (
+        f"station {recording.stations[int(stations.argmin())]} has {stations.min():.0f} readings, "
+        f"target {recording.targets[int(targets.argmin())]} has {targets.min():.0f}"
+    )
+    return (
+        f"the equations of the network are singular: its readings leave some unknowns undetermined ({weakest}); "
+        "measure range and both angles to three or more common targets from each station"
+    )

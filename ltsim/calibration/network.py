@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
-from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.identification import Selection, identified, outcomes
 from ltsim.adjustment.identification.fit import changed_recording
 from ltsim.adjustment.identification.tests import sentence_of
@@ -16,6 +15,7 @@ from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.adjustment.quality import require_usable
 from ltsim.adjustment.reference_tests import KINDS, SCALED
 from ltsim.adjustment.station_motions import Motion, moving_stations
+from ltsim.adjustment.stochastic_model import Grouping
 from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects

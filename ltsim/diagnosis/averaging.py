@@ -87,18 +87,24 @@ def model_weights(
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the shift (k, T, 3) [m] of the targets by each.
 
-    Log evidences are divided by `temperature`.
+    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, shift no target.
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
-    entries = [(h, p) for h, p in likely if not isinstance(h.effect, NoiseEffect | VarianceFunction)]
+    entries = [(h, p) for h, p in likely if not _is_noise(h)]
     entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
+    none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise(h))
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     shaped = _shaped(searcher, others, chosen)
     shifts = [shift_of(searcher, others, h) for h, _ in (*shaped, *entries)]
     shifts.append(np.zeros_like(shifts[0]))
     weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(shifts)
+
+
+def _is_noise(hypothesis: Hypothesis) -> bool:
+    """True for a change of the noise."""
+    return isinstance(hypothesis.effect, NoiseEffect | VarianceFunction)
 
 
 def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:

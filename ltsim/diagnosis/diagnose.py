@@ -10,7 +10,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import Selection, identified, outcomes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.singular import refusing_singular
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.errors import RecordError
@@ -43,15 +43,14 @@ MOST_ROUNDS = 3
 """Largest number of alternations between variance and mean hypotheses."""
 LEAST_LEVEL = 1e-3
 """Smallest false-alarm rate: a p-value of 1 / (n + 1) takes n simulated recordings."""
-NEXT_LEVEL = 0.01
-"""A further effect is added above this quantile of the null statistic, at least `LEAST_GAIN`."""
 MIN_REMAINING_OFFSET = 0.5
 """A contradicting constant is reported only if at least this fraction of its offset remains after the selected effects
 are modelled."""
 MOST_REPORTED = 5
 """Largest number of reported findings, mistakes and constants first."""
 LEAST_GAIN = 2.0
-"""A further effect is added if its log evidence exceeds this: posterior odds of 7 to 1 (e^2)."""
+"""A further effect is added if its log evidence exceeds this: a geometric prior on the number of effects, each further
+one having prior odds of e^-2, 1 to 7."""
 
 
 @refusing_singular
@@ -105,15 +104,14 @@ def diagnose(
     case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
     detectability, detection = detectability_report(case.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
-    threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    model = _select_model(case, threshold, compared) if mismatch else case.empty
+    model = _select_model(case, LEAST_GAIN, compared) if mismatch else case.empty
     model, fitted = _refitted(case, model)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
     odd = [instrument_finding(c) for c in contradicting if not _varies(c.parameter.name, model.effects)][:MOST_MEMBERS]
     explained = Explained(case, detection, model, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
     repeated = not case.searcher.large if held_out is None else held_out
-    errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
+    errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, LEAST_GAIN, repeated)
     return _report(explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 
@@ -244,14 +242,23 @@ def _refitted(case: SelectionState, model: Model) -> tuple[Model, Refit]:
         rest = [case.searcher.without(model, i) for i in range(len(model.members))]
         without = [case.refit(reduced.effects, case.sigma) for reduced in rest]
         gains = [
-            0.5 * (reduced.adjustment.chi2 - fitted.adjustment.chi2) + h.log_prior
-            for h, reduced in zip(model.members, without, strict=True)
+            log_support(model, reduced, refitted.adjustment.chi2 - fitted.adjustment.chi2)
+            for reduced, refitted in zip(rest, without, strict=True)
         ]
         least = int(np.argmin(gains))
         if gains[least] >= 0.0:
             break
         model, fitted = rest[least], without[least]
     return model, fitted
+
+
+def log_support(model: Model, reduced: Model, drop: float) -> float:
+    """Log evidence of a model over a reduced one, with the decrease of chi-square of the nonlinear refits.
+
+    The linear evidence has the Occam factors and priors; only its decrease of chi-square is replaced by `drop`.
+    """
+    linear = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
+    return model.score - reduced.score + 0.5 * (drop - linear)
 
 
 def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:

@@ -64,7 +64,7 @@ class Diagnosis(Result):
         fits = f"chi2/dof {before.chi2:.0f}/{before.dof}"
         if self.findings:
             fits += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
-            if before.held_out_rms is not None and after.held_out_rms is not None:
+            if None not in (before.held_out_rms, after.held_out_rms) and before.held_out_rms != after.held_out_rms:
                 fits += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
         return [f"Diagnosis: {self.verdict}", self.summary, fits]
 

@@ -4,8 +4,9 @@ That something is missing, and that nothing is, start alike. What is missing is 
 share evenly among all of its kind that a recording offers: effects of the catalogue, their places and shapes, carriers,
 drivers and places of laws (each operator of a driver costs
 `laws.regressor_library.OPERATOR_ODDS`). `rows` is the table as the theory page
-prints it. None of the numbers is fitted to anything: they say what a service engineer would bet before seeing
-residuals, and a factor of two in one of them is 0.7 of log evidence.
+prints it. The numbers are judgements of how often
+a cause occurs in service; several were revised after experiments with known causes. A factor of two in one of them is
+0.7 of log evidence.
 """
 
 from collections.abc import Iterator

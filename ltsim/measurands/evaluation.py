@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjustment.singular import refusing_singular
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.calibration.result import frame_of
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.results import Result, Table

@@ -59,7 +59,7 @@ def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         np.testing.assert_allclose(sigma[recording.targets.index("T01")], 0.0, atol=1e-9)
         assert sigma[recording.targets.index("T20")][0] > 1e-6
-    assert "axes in which coordinates of the datum's targets are stated" in lt.adjust(named).frame
+    assert "the axes of the declared coordinates of the datum's targets" in lt.adjust(named).frame
 
 
 def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording: Recording) -> None:
@@ -83,7 +83,7 @@ def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recordin
     found = in_axes_of_points(recording, goal, "hall.csv")
     (note,) = lt.adjust(found).notes
     assert "11 targets fit it within" in note
-    assert "left out of the datum: T05 (39" in note
+    assert "excluded from the datum: T05 (39" in note
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
     found = adjust(two_days(1.5e-3))
     (wrong,) = found.rejected_references
     assert wrong.kind == "mark"
-    assert (wrong.name, wrong.rivals, wrong.excluded) == ("S4", ("S1",), True)
+    assert (wrong.name, wrong.indistinguishable_from, wrong.excluded) == ("S4", ("S1",), True)
     assert np.linalg.norm(wrong.error) == pytest.approx(1.5e-3, abs=0.05e-3)
     assert "stands 1.50" in warnings_of(found)[0] or "stands 1.49" in warnings_of(found)[0]
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
@@ -70,7 +70,7 @@ def test_a_height_over_a_known_mark_that_nothing_else_shows_may_be_either(height
     found = adjust(recording.replace(setup=setup))
     (wrong,) = found.rejected_references
     assert (wrong.kind, wrong.name) == ("point", "M2")
-    assert wrong.sentence.endswith("or the height of set-up S3 over it: left out")
+    assert wrong.sentence.endswith("or the height of set-up S3 over it: excluded")
 
 
 @pytest.mark.parametrize("height", [1.02, -0.1, 0.004])

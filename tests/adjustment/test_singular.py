@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.singular import refusing_singular
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.errors import NetworkError
 from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop

@@ -7,13 +7,14 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, first_order_shift, safe_share
+from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, first_order_shift, model_weights, safe_share
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.geometry.rigid import less_rigid
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressors import smooth
 from ltsim.physics.laws.responses import RESPONSES
+from ltsim.physics.laws.variance import VarianceFunction
 from tests.networks import network
 
 
@@ -57,3 +58,16 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
     targets = averaged_targets(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
     assert np.linalg.norm(targets.points - points) < np.linalg.norm(expected)
+
+
+def test_noise_moves_no_target() -> None:
+    """The probability of a change of the noise is not that of a shift."""
+    baseline = adjust(network(faces=1, seed=3)[0])
+    case = SelectionState(baseline, baseline.problem.use, 0)
+    law = Hypothesis(Law((), (), RESPONSES["elevation"][0], smooth("time")), 0.0, 5.0, "unknown")
+    noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
+    ranking = Ranking((noise, law), 8.0)
+    weights, shifts = model_weights(case.searcher, case.searcher.empty, law, ranking, 1.0)
+    assert weights.sum() == pytest.approx(1.0)
+    moving = np.any(shifts != 0.0, axis=(1, 2))
+    assert weights[moving].sum() == pytest.approx(np.exp(5.0) / (1.0 + 20.0 * np.exp(5.0)), rel=1e-6)

@@ -14,9 +14,12 @@ from ltsim.adjustment.remedies.next_measurement import DECISIVE
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement
+from ltsim.diagnosis.diagnose import log_support
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import active_observables
 from ltsim.diagnosis.findings import Explained
-from ltsim.diagnosis.schema import Where
+from ltsim.diagnosis.hypotheses import Model
+from ltsim.diagnosis.schema import Misfit, Where
 from ltsim.diagnosis.words import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import misalignment
@@ -106,3 +109,31 @@ def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() ->
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=True)) == ("b", "c")
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
     assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()
+
+
+def cause(name: str, coefficients: int) -> SimpleNamespace:
+    """A hypothesis of a catalogue effect with coefficients of plausible size 1."""
+    return SimpleNamespace(name=name, is_catalogued=True, log_prior=-3.0, spread=np.ones(coefficients))
+
+
+def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -> None:
+    """Ten coefficients that lower chi-square by 16: the evidence, with its Occam factor, is against them."""
+    basis = np.linalg.qr(stream(5, "support").standard_normal((60, 11)))[0]
+    residual = 8.0 * basis[:, 0] + np.sqrt(1.6) * basis[:, 1:].sum(axis=1)
+    members, parts = (cause("a", 1), cause("b", 10)), (10.0 * basis[:, :1], 100.0 * basis[:, 1:])
+    norms = tuple(np.linalg.norm(part, axis=0) for part in parts)
+    model, reduced = Model(members, parts, norms, residual), Model(members[:1], parts[:1], norms[:1], residual)
+    drop = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
+    assert drop == pytest.approx(16.0)
+    assert 0.5 * drop + members[1].log_prior > 0.0
+    assert log_support(model, reduced, drop) < 0.0
+    assert log_support(model, reduced, drop + 10.0) == pytest.approx(log_support(model, reduced, drop) + 5.0)
+
+
+@pytest.mark.parametrize("after", [1.0, 1.2])
+def test_the_held_out_error_is_printed_where_a_search_was_repeated(after: float) -> None:
+    """Without a shift of the readings nothing is predicted anew: both errors are the same number."""
+    before, modelled = Misfit(chi2=120.0, dof=80, held_out_rms=1.2), Misfit(chi2=80.0, dof=80, held_out_rms=after)
+    result = SimpleNamespace(verdict="mismatch", summary="", findings=(None,), before=before, after=modelled)
+    printed = "\n".join(Diagnosis._lines(result))
+    assert ("held-out error" in printed) == (after != 1.2)

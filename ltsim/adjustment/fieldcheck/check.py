@@ -28,8 +28,8 @@ from ltsim.adjustment.fieldcheck.words import (
 )
 from ltsim.adjustment.identification import Test, identified, outcomes
 from ltsim.adjustment.reliability import neg_log_p_chi2
-from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.station_motions import WITNESSES, EvenMotion, by_runs
+from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Columns, Result

@@ -1,4 +1,4 @@
-"""Log evidence of hypotheses whose size nobody knows beforehand: from just visible to absurd by one formula.
+"""Log evidence of hypotheses of unknown size, and their prior odds.
 
 A shift of p components has a prior that is uniform in the logarithm of its size, over `DECADES` decades, and in its
 direction (Jeffreys). In units of the standard deviations of its estimate, of length w, the marginal likelihood ratio
@@ -50,3 +50,26 @@ def variance_factor(squares: Floats, redundancy: Floats) -> tuple[Floats, Floats
     ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(enough, gain, 0.0)
+
+
+SHARE = {
+    "outlier": 0.2,
+    "constant-offset": 0.15,
+    "scale-error": 0.05,
+    "target-moved": 0.1,
+    "station-bump": 0.1,
+    "station-drift": 0.05,
+    "orientation": 0.04,
+    "reflector-radius": 0.01,
+    "reference-value": 0.07,
+    "reference-scale": 0.03,
+    "names": 0.05,
+    "unit": 0.05,
+    "height": 0.05,
+    "noise-level": 0.05,
+}
+
+
+def log_prior_of(kind: str, places: int) -> float:
+    """Log prior of a cause of a kind at one of so many places."""
+    return float(np.log(SHARE[kind] / max(places, 1)))

@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.evidence import occam, occam_of_variance, variance_factor
+from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
-from ltsim.adjustment.identification.prior import log_prior_of
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import relaxed_references
@@ -22,9 +21,9 @@ from ltsim.adjustment.reference_values import (
     drop_reference,
     reference_values,
 )
-from ltsim.adjustment.robust import robust_state
 from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, snoop_readings
 from ltsim.adjustment.start import initial_network
+from ltsim.adjustment.stochastic_model import robust_state
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE

@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjustment.blunders import correct_faces, correct_units, detect_blunders
+from ltsim.adjustment.identification.evidence import log_prior_of
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, Kind, NoiseFactor, Omission, Shift
-from ltsim.adjustment.identification.prior import log_prior_of
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.adjustment.reference_values import ReferenceRows, reference_values
 from ltsim.adjustment.station_motions import EvenMotion

@@ -13,11 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.evidence import occam, occam_of_variance, variance_factor
+from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
-from ltsim.adjustment.identification.prior import log_prior_of
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.core.arrays import Bools, Floats, Ints

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from ltsim.adjustment.identification.evidence import occam
+from ltsim.adjustment.identification.evidence import log_prior_of, occam
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
-from ltsim.adjustment.identification.prior import log_prior_of
 from ltsim.adjustment.identification.selection import LARGEST_GAIN, Choice, Selection
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.core.arrays import Floats, Ints

@@ -12,8 +12,8 @@ import ltsim as lt
 from ltsim.adjustment.identification import Network, Selection, outcomes, select
 from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.fit import changed_recording
-from ltsim.adjustment.robust import robust_state
 from ltsim.adjustment.start import initial_network
+from ltsim.adjustment.stochastic_model import robust_state
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import robust_align
