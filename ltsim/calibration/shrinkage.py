@@ -72,28 +72,21 @@ def correction_of(
     vector = precision @ root @ (adjustment.state.instrument.ravel() - mean)[free]
     within = np.searchsorted(free, used)
     unit = wider or 1.0
-    whole = np.linalg.inv(root) / unit
-    spread = whole[np.ix_(within, within)]
-    gained = (precision - np.eye(len(free))) / unit**2
+    spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
+    information = (precision[np.ix_(within, within)] - np.eye(len(used))) / unit**2
     least, is_free = (1.0 if history_prior else 0.0), wider is not None
     rest = sigma0_of_readings(adjustment)
-    evidence = ScaledPrior(
-        gained[np.ix_(within, within)], vector[within] / unit, least=least, is_free=is_free, rest=rest
-    )
-    form = point_errors(adjustment)
-    by_unit = spread.T @ form[np.ix_(used, used)] @ spread
+    evidence = ScaledPrior(information, vector[within] / unit, least=least, is_free=is_free, rest=rest)
+    by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
     applied, note = evidence.shrunk_correction(by_unit, middle)
-    values = mean * held
-    values[used] = spread @ applied
-    # Terms that are not applied are errors of a new point too.
-    every = ScaledPrior(gained, vector / unit)
-    chosen, centre = np.asarray(np.linalg.solve(whole, np.stack([values, mean], axis=1)[free]), dtype=np.float64).T
-    before, after = every.errors(whole.T @ form[np.ix_(free, free)] @ whole, chosen, centre, scale=evidence.followed)
+    before, after = evidence.errors(by_unit, applied, middle)
     not_applied = tuple(names[k] for k in gone)
     notes = [n for n in (evidence.doubt, note) if n]
     if not_applied:
         notes.append(f"not applied, as held-out targets are predicted better without them: {', '.join(not_applied)}")
+    values = mean * held
+    values[used] = spread @ applied
     correction = Correction(
         prior_scale=evidence.scale,
         plausible_scale=evidence.plausible,
@@ -208,13 +201,9 @@ class ScaledPrior:
             return np.zeros_like(full), "no correction is applied: it may well make new points worse"
         return cautious, f"{100 * share:.0f} % of the correction is applied: more may well make new points worse"
 
-    def errors(
-        self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0, *, scale: float
-    ) -> tuple[float, float]:
-        """Expected error (rms) [m] of a new point by the constants, without a correction and with the applied one.
-
-        `scale` is that of the prior; the other arguments are as in `shrunk_correction`.
-        """
+    def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
+        """Expected error (rms) [m] of a new point by the constants, without a correction and with the applied one."""
+        scale = self.followed
         mean = middle + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         rest = float(np.sum(spread * by_unit))

@@ -7,7 +7,6 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
-from ltsim.calibration import shrinkage
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_errors, reading_noise
@@ -162,22 +161,6 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     at = [found.names.index(name) for name in found.correction.not_applied]
     assert np.all(found.applied[0, at] == 0.0)
     assert np.any(found.values[0, at] != 0.0)
-
-
-def test_a_term_that_is_not_applied_counts_as_an_error_of_new_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The most certain term is left out by hand: the expected error grows by what it does to a point."""
-    recording = network(faces=2, seed=4, values=drawn(BUILT, 4), stations=1)[0]
-    monkeypatch.setattr(shrinkage, "terms_to_drop", lambda _: np.zeros(0, dtype=np.int64))
-    whole = lt.calibrate(recording, advise=False)
-    assert whole.adjustment is not None and whole.correction is not None
-    effect = (whole.values[0] * np.sqrt(np.diag(point_errors(whole.adjustment)))) ** 2
-    term = int(np.argmax(np.where(np.abs(whole.values[0]) > 10.0 * whole.sigma[0], effect, 0.0)))
-    monkeypatch.setattr(shrinkage, "terms_to_drop", lambda _: np.array([term]))
-    part = lt.calibrate(recording, advise=False)
-    assert part.correction is not None
-    assert part.correction.not_applied == (whole.names[term],)
-    grown = part.correction.corrected_um**2 - whole.correction.corrected_um**2
-    assert grown > 0.5e12 * effect[term]  # the terms that are correlated with it add to that
 
 
 @pytest.mark.parametrize(("stations", "sparse", "most"), [(1, True, 0.7), (2, True, 0.8), (1, False, 1.05)])
