@@ -297,6 +297,15 @@ class Pairs:
         """Its pairs."""
         return slice(int(self.begin[station]), int(self.begin[station + 1]))
 
+    def of_rows(self, recording: Recording, values: Floats) -> Floats:
+        """Values (m, 3) of each pair: those of its last row in a recording, of (n, 3) by row."""
+        by_pair = np.zeros((len(self), 3))
+        keys = self.station * len(recording.targets) + self.target
+        rows = recording.station * len(recording.targets) + recording.target
+        paired = np.flatnonzero(np.isin(rows, keys))
+        by_pair[np.searchsorted(keys, rows[paired])] = values[paired]
+        return by_pair
+
     def medians(self, values: Floats, which: Ints) -> Floats:
         """Median (k, 3) over stations of values (m, 3) of some targets, leaving out NaN; NaN where all are."""
         medians = np.full((len(which), 3), np.nan)

@@ -68,7 +68,7 @@ class NetworkInitialiser:
         self._flat = recording.is_horizontal
         lift = lift_of(recording)
         self._lift = np.zeros((len(recording), 3)) if lift is None else lift
-        self._pair_lift = np.zeros((len(pairs), 3)) if lift is None else self._by_pair(lift)
+        self._pair_lift = pairs.of_rows(recording, self._lift)
         self._position = np.full((stations, 3), np.nan)
         self._rotation = np.tile(np.eye(3), (stations, 1, 1))
         self._joined = np.zeros(stations, dtype=bool)
@@ -79,26 +79,10 @@ class NetworkInitialiser:
         self._tried: dict[int, int] = {}
         self._loose: list[tuple[int, int]] = []
 
-    def _by_pair(self, lift: Floats) -> Floats:
-        pairs, recording = self._pairs, self._recording
-        by_pair = np.zeros((len(pairs), 3))
-        keys = pairs.station * len(recording.targets) + pairs.target
-        rows = recording.station * len(recording.targets) + recording.target
-        paired = np.flatnonzero(np.isin(rows, keys))
-        by_pair[np.searchsorted(keys, rows[paired])] = lift[paired]
-        return by_pair
-
     def run(self, beginning: str) -> None:
         """Join everything that can be joined from one of `SEEDS`, then go to the stated frame."""
         getattr(self, f"_begin_with_{beginning}")()
-        steps = (
-            self._join_by_cloud,
-            self._join_by_yaw,
-            self._locate,
-            self._join_by_fit,
-            self._anchor,
-            self._resect_by_backsight,
-        )
+        steps = (self._join_by_cloud, self._join_by_yaw, self._locate, self._join_by_fit, self._anchor, self._resect)
         while not self.is_complete and any(step() for step in steps):
             pass
         self._to_final_frame()
@@ -231,7 +215,7 @@ class NetworkInitialiser:
                 return True
         return False
 
-    def _resect_by_backsight(self) -> bool:
+    def _resect(self) -> bool:
         """Join a levelled station that is seen from where it looks back: its beams cross where it stands, in plan."""
         recording, over = self._recording, self._frame.marks.target
         places, ahead, turn = self._target_places(), self._rotation[:, :, 0], self._front[:, 1]
@@ -239,19 +223,14 @@ class NetworkInitialiser:
             back = recording.station[row]
             bearing = turn[row] + np.arctan2(ahead[back, 1], ahead[back, 0])
             for station in np.flatnonzero((over == recording.target[row]) & self._frame.level & ~self._joined).tolist():
-                rows_of_station = (recording.station == station) & np.isfinite(turn + places[recording.target, 0])
-                zero = turn[rows_of_station & (recording.target == over[back])][:1]
+                rows = (recording.station == station) & np.isfinite(turn + places[recording.target, 0])
+                zero = turn[rows & (recording.target == over[back])][:1]
                 if not self._upright or not len(zero) or not np.isfinite(bearing):
                     continue
                 yaw = float(bearing + np.pi - zero[0])
-                rays = np.array(
-                    [
-                        np.cos(turn[rows_of_station] + yaw),
-                        np.sin(turn[rows_of_station] + yaw),
-                        np.zeros(rows_of_station.sum()),
-                    ]
-                ).T
-                place = meeting_point(places[recording.target[rows_of_station]], rays)
+                angle = turn[rows] + yaw
+                rays = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+                place = meeting_point(places[recording.target[rows]], rays)
                 if place is not None:
                     self._place(station, place + self._frame.marks.offset[station], about_z(yaw))
                     return True
@@ -301,9 +280,8 @@ class NetworkInitialiser:
 
     def _level_stations(self) -> None:
         """Stations that read no angle stand upright: along the others' axes, or on the floor plan."""
-        reads_angles = (
-            np.bincount(self._recording.station, np.isfinite(self._front[:, 1:]).any(axis=1), len(self._joined)) > 0
-        )
+        measured = np.isfinite(self._front[:, 1:]).any(axis=1)
+        reads_angles = np.bincount(self._recording.station, measured, len(self._joined)) > 0
         if reads_angles.any():
             up = self._rotation[reads_angles & self._joined, :, 2].sum(axis=0)
         elif self._planned and not self._anchored:
@@ -349,9 +327,8 @@ class NetworkInitialiser:
         """Begin with every place that is stated, well or roughly; stations look as their azimuths say on average."""
         self._begin_with_frame()
         self._located, marks = self._frame.near.copy(), self._frame.marks
-        declared = np.where(
-            (marks.target >= 0)[:, None], self._located[marks.target] + marks.offset, self._frame.stations
-        )
+        on_marks = self._located[marks.target] + marks.offset
+        declared = np.where((marks.target >= 0)[:, None], on_marks, self._frame.stations)
         declared = np.where(np.isnan(declared), self._frame.plan, declared)
         for station in np.flatnonzero(np.isfinite(declared).all(axis=1)).tolist():
             rows = np.flatnonzero(self._recording.station == station)
@@ -377,12 +354,8 @@ class NetworkInitialiser:
         places, yaw, in_frame = np.pad(plan[0], ((0, 0), (0, 1))), plan[1], plan[2]
         if in_frame:
             self._begin_with_frame()
-        for station_index in np.flatnonzero(np.isfinite(yaw)).tolist():
-            self._place(
-                station_index,
-                places[stands[station_index]] + marks.offset[station_index],
-                about_z(float(yaw[station_index])),
-            )
+        for s in np.flatnonzero(np.isfinite(yaw)).tolist():
+            self._place(s, places[stands[s]] + marks.offset[s], about_z(float(yaw[s])))
         self._located = np.where(np.isnan(self._located), places[: len(self._located)], self._located)
         self._anchored, self._upright = in_frame, True
 
