@@ -166,7 +166,7 @@ def without_normal(recording: Recording) -> Recording:
         (without_normal, r"setup.toml: targets.T10.nest_normal is missing: its SMR small has a radius of 6.35 mm"),
         (
             lambda r: with_setup(r, reference_radius_mm=None),
-            r"different radii \(small of 6.35 and middle of 11.1125 and large of 19.05 mm\): state reference_radius_mm",
+            r"different radii \(small of 6.35 and middle of 11.1125 and large of 19.05 mm\): set reference_radius_mm",
         ),
         (
             lambda r: with_setup(r, reflectors={k: v for k, v in r.setup.reflectors.items() if k != "small"}),
@@ -188,7 +188,7 @@ def test_what_is_missing_is_told_in_a_sentence(spoil: Any, sentence: str, tmp_pa
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"reference_radius_mm": "none"}, "state reference_radius_mm"),
+        ({"reference_radius_mm": "none"}, "set reference_radius_mm"),
         ({"smr__reflector": "huge"}, r"there is no table \[reflectors.huge\]"),
         ({"smr__reflector": "none"}, r"targets.T\d+.reflector is missing"),
         ({"smr__nests": "re-aimed"}, r"targets.T\d+.nest_normal is missing"),

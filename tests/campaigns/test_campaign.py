@@ -39,7 +39,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("reference")
     (folder / "noise.toml").write_text(FILE)
     outcome = run_campaign(folder / "noise.toml", folder / "out")
-    assert (outcome.shards, outcome.kept) == (6, 0)
+    assert (outcome.shards, outcome.existing) == (6, 0)
     return contents(folder / "out")
 
 
@@ -95,7 +95,7 @@ def test_interrupted_and_resumed_gives_the_same_bytes(file: Path, tmp_path: Path
         run_campaign(file, tmp_path / "out", progress=stop)
     assert len(contents(tmp_path / "out")) == 2
     outcome = run_campaign(file, tmp_path / "out", resume=True)
-    assert (outcome.shards, outcome.kept) == (4, 2)
+    assert (outcome.shards, outcome.existing) == (4, 2)
     assert contents(tmp_path / "out") == reference
 
 
@@ -157,7 +157,7 @@ def test_changed_file_is_refused_and_rows_stay(file: Path, tmp_path: Path, refer
     with pytest.raises(SetupError, match=r"changed since this campaign began \(seed\)"):
         run_campaign(file, out, resume=True)
     assert contents(out) == reference
-    assert run_campaign(out / "campaign.toml", out, resume=True).kept == 6
+    assert run_campaign(out / "campaign.toml", out, resume=True).existing == 6
 
 
 def test_a_campaign_of_an_own_scenario_goes_on_from_its_copy(file: Path, tmp_path: Path) -> None:

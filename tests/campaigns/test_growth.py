@@ -77,7 +77,7 @@ def test_a_grown_campaign_takes_what_is_missing(
 
             counted.setattr(owner, name, noted)
         outcome = run_campaign(file, out, resume=True)
-    assert (outcome.shards, outcome.kept, outcome.notes) == (shards, kept, ())
+    assert (outcome.shards, outcome.existing, outcome.notes) == (shards, kept, ())
     assert (sum(calls["calibrate"]), len(calls["difference"]), len(calls["after"])) == (trials, repeated, judged)
     run_campaign(file, tmp_path / "anew")
     assert before <= rows(out) == rows(tmp_path / "anew")
@@ -147,7 +147,7 @@ def test_status_one_says_which_cell_even_when_quiet(
     monkeypatch.setattr("ltsim.campaigns.engine.Engine.difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
     said = capsys.readouterr().err
-    assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "allowed 0.001" in said
+    assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "limit 0.001" in said
 
 
 def test_damaged_shards_of_a_grown_campaign_are_done_again(begun: tuple[Path, Path]) -> None:

@@ -58,7 +58,7 @@ def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
         name: Results(tmp_path / name).spread("target_error_um")[0].mean for name in ("run1", "run[1]", "run*", "it's")
     }
     assert means["run[1]"] == means["run*"] == means["it's"] != means["run1"]
-    assert run_campaign(file, tmp_path / "run[1]", resume=True).kept == 2
+    assert run_campaign(file, tmp_path / "run[1]", resume=True).existing == 2
 
 
 def test_tables_are_the_same_bytes_from_run_to_run(file: Path, tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
     with pytest.raises(SetupError, match="changed since this campaign began"):
         run_campaign(file, out, resume=True)
     cad.unlink()
-    assert run_campaign(out / "campaign.toml", out, resume=True).kept == 2
+    assert run_campaign(out / "campaign.toml", out, resume=True).existing == 2
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
     assert whole.count("\n") == 2
     for cut in (whole[:-20], whole[:100], whole[:-1], whole + "abc", whole + whole, "\x00" + whole):
         digests.write_text(cut)
-        assert run_campaign(file, out, resume=True).kept == 2
+        assert run_campaign(file, out, resume=True).existing == 2
         assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
         assert Store(out).digests().keys() == {f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)}
     assert not list(out.rglob(".ltsim-*"))

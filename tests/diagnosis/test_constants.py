@@ -51,7 +51,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 
     def density(covariance):
         inner = turn.T @ (said.information + said.information @ covariance @ said.information) @ turn
-        y = turn.T @ said.told
+        y = turn.T @ said.information_vector
         return -0.5 * (y @ np.linalg.solve(inner, y) + np.linalg.slogdet(inner)[1])
 
     change = np.zeros((32, 32))

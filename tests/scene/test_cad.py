@@ -187,8 +187,8 @@ def test_each_format_gives_the_same_layout_and_sights(
         pytest.importorskip("cascadio", reason="the extra step is not installed")
     made = lt.plan(written(tmp_path, name, turn, **keys))
     assert made.chosen.survey.position.tolist() == layout.chosen.survey.position.tolist()
-    assert made.chosen.survey.seen.tolist() == layout.chosen.survey.seen.tolist()
-    assert not made.chosen.survey.seen.all()  # the fuselage hides some
+    assert made.chosen.survey.visible.tolist() == layout.chosen.survey.visible.tolist()
+    assert not made.chosen.survey.visible.all()  # the fuselage hides some
     (body,) = bodies_of(made.scenario)
     assert "30 x 4 x 4 m, x 5.00 to 35.00" in body.words
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.calibration.schema import RESIDUALS
-from ltsim.core.errors import LtsimError
+from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.notation import NONE, number, with_sigma
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.units import FACTOR
@@ -123,7 +124,9 @@ def _inspection(finding: Finding) -> str:
     follows = f" with {listing(where.covariates)}" if where.covariates else ""
     title = f"change of the {finding.carrier or 'readings'}{follows}"
     if finding.is_catalogued:
-        title = card_of(find_effect(finding.effect)).title
+        title = finding.effect
+        with suppress(ModelError):  # an effect of somebody else's catalogue
+            title = card_of(find_effect(finding.effect)).title
     return f"Inspect {place} for the cause: {title[0].lower()}{title[1:]}."
 
 
