@@ -94,15 +94,15 @@ def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> N
 def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
     unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
     assert unaimed.effects[0].freedom == 0
-    assert "cannot tell it" in unaimed.effects[0].sentence
+    assert "it was not estimated" in unaimed.effects[0].sentence
 
 
 @pytest.mark.parametrize(
     ("wanted", "said"),
     [
-        ("beam-tilt", "estimated anyway"),
-        ("noise-level", "scatter"),
-        ("target-swap", "slip"),
+        ("beam-tilt", "part of the ordinary calibration"),
+        ("noise-level", "changes the noise, not the readings"),
+        ("target-swap", "a mistake in the recording"),
         ("index-drift:S9", "no station"),
         ("index-drift:law=sometimes", "expected one of"),
         ("index-drift:pace=3", "no constant"),

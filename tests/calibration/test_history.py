@@ -185,9 +185,9 @@ def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
 @pytest.mark.parametrize(
     ("dates", "words"),
     [
-        (["2026-01-01"], "found 1 dates for 2 calibrations"),
-        (["2026-01-02", "2026-01-01"], r"c0 \(2026-01-02\) stands before c1 .* in the order of time"),
-        (["1.2.2026", "2.2.2026"], "expected such as 2026-05-31"),
+        (["2026-01-01"], "there are 1 dates for 2 calibrations"),
+        (["2026-01-02", "2026-01-01"], r"c0 \(2026-01-02\) is listed before c1 .* in the order of time"),
+        (["1.2.2026", "2.2.2026"], "expected dates such as 2026-05-31"),
     ],
 )
 def test_wrong_dates_get_a_sentence(dates, words):

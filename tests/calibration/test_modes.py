@@ -55,4 +55,4 @@ def test_one_mode_has_one_zero() -> None:
 
 @pytest.mark.parametrize("calibrate", [lt.adjust, partial(calibrate_distance, advise=False)])
 def test_what_assumes_one_zero_for_both_says_so(calibrate: Callable[[Recording], Calibration]) -> None:
-    assert "one range zero was assumed for both" in calibrate(with_modes(8)).notes[0]
+    assert "one range zero assumed for both" in calibrate(with_modes(8)).notes[0]

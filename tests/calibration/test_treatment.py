@@ -96,7 +96,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     assert said["case"] == "smaller noise"
     assert said["scale_by_sigma0"] is True
     found = calibrate_network(quiet, advise=False)
-    assert any("which only the noise does" in note for note in found.notes)
+    assert any("the noise was estimated instead" in note for note in found.notes)
     assert {n.observable: round(3 * n.factor) for n in found.noise} == dict.fromkeys(OBSERVABLES, 1)
 
 
@@ -116,7 +116,7 @@ def test_a_target_without_a_place_is_named_and_has_no_coordinates(make, tmp_path
     by_distance = calibrate_distance(recording.with_readings(readings))
     assert by_distance.undetermined_targets == ("T08",)
     assert not screen_gross_errors(recording.with_readings(readings)).gross.any()
-    with pytest.raises(NetworkError, match=r"lacks a range or an angle .* nothing ties target T08 to it"):
+    with pytest.raises(NetworkError, match=r"lacks a range or an angle .* no reading connects target T08 to it"):
         correct(recording.with_readings(readings), found)
     write_calibration(found, tmp_path)
     assert json.loads((tmp_path / "calibration.json").read_text())["undetermined_targets"] == ["T08"]

@@ -219,5 +219,5 @@ def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]
     found = [Model((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
-    assert found[0].misfit == pytest.approx(0.5 * MISFIT * whole @ whole)
-    assert found[1].misfit == 0.0
+    assert found[0].discrepancy_penalty == pytest.approx(0.5 * MISFIT * whole @ whole)
+    assert found[1].discrepancy_penalty == 0.0

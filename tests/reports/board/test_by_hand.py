@@ -96,7 +96,7 @@ def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
     _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
     assert list(scenario.stations) == ["S1", "S2", "S3", "S9"]
     for wrong, says in (
-        (stations[:1], "expected 2 to 40 stations, found 1"),
+        (stations[:1], "a layout has 2 to 40 stations, not 1"),
         ([*stations, stations[0]], "a different name"),
         ([*stations[:2], {**stations[2], "name": "<b>"}], "a different name"),
     ):
@@ -117,7 +117,7 @@ def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     stations[0]["mm"][:2] = stations[1]["mm"][:2]
     assert "closer than 1 m" in board.judged(stations)["problem"]
     stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
-    assert "S1 stands in M00" in board.judged(stations)["problem"]
+    assert "station S1 coincides with target M00" in board.judged(stations)["problem"]
 
 
 def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_path: Path) -> None:
