@@ -194,7 +194,7 @@ class Board:
 
 def _against(ratio: float) -> dict[str, Any]:
     """Ratio of an error to its tolerance, its text in percent, and True if the tolerance is met."""
-    return {"ratio": ratio, "used": percent(ratio), "kept": keeps(ratio)}
+    return {"ratio": ratio, "used": percent(ratio), "met": keeps(ratio)}
 
 
 def _touches(survey: Survey) -> bool:

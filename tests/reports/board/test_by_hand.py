@@ -175,9 +175,9 @@ START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim
 """A shell in the background starts what it starts deaf to Ctrl-C."""
 SIGMA = "document.querySelector('tr[data-point=M31] td:nth-child(3)').textContent"
 
-COVERED = """(() => { stations[1].mm = [stations[0].mm[0] - 1200, stations[0].mm[1], stations[1].mm[2]]; write();
-  const shown = [...layer.names.children].filter(one => one.getAttribute("visibility") === "visible");
-  const boxes = shown.map(one => [one.textContent, one.getBBox()]);
+COVERED = """(() => { stations[1].mm = [stations[0].mm[0] - 1200, stations[0].mm[1], stations[1].mm[2]]; placeLabels();
+  const shown = [...layer.names.children].filter(label => label.getAttribute("visibility") === "visible");
+  const boxes = shown.map(label => [label.textContent, label.getBBox()]);
   const across = (a, b) => a.x + 1e-6 < b.x + b.width && a.y + 1e-6 < b.y + b.height;
   return boxes.flatMap(([name, a], i) =>
     boxes.slice(i + 1).filter(([, b]) => across(a, b) && across(b, a)).map(([b]) => [name, b])); })()"""
@@ -193,12 +193,12 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
         address = server.stdout.readline().strip()
         assert address.startswith("http://127.0.0.1:")
         with opened(address, tmp_path) as tab:
-            tab.until("told && told.points")
-            before = tab.value("told"), tab.value(SIGMA), tab.value("stations[0].mm")
+            tab.until("evaluation && evaluation.points")
+            before = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm")
             x, y = tab.middle("[data-station=S1] .head")
             tab.drag((x, y), (x + 60, y + 8))
             tab.until(f"!busy && {SIGMA} != '{before[1]}'")
-            after = tab.value("told"), tab.value(SIGMA), tab.value("stations[0].mm")
+            after = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm")
             assert after[2][0] > before[2][0] + 100
             assert after[2][1] < before[2][1]
             judged = Board.of(hall).judged(tab.value("stations"))
@@ -209,9 +209,9 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             tab.until("/eached: /.test(document.querySelector('#verdict').textContent)")
             assert tab.value("document.querySelector('#verdict').className") in ("reached", "lost")
             tab.value("document.querySelector('#add').click()")
-            tab.until("!busy && told.reasons.length === 4 && stations.length === 4")
+            tab.until("!busy && evaluation.reasons.length === 4 && stations.length === 4")
             tab.value("document.querySelector('[aria-label=\"Remove S4\"]').click()")
-            tab.until("!busy && told.reasons.length === 3")
+            tab.until("!busy && evaluation.reasons.length === 3")
             assert tab.value("layer.tripods.childElementCount") == 3
             tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
             tab.value("document.querySelector('#save').click()")
