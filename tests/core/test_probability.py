@@ -32,7 +32,11 @@ def test_no_chance_is_a_dash() -> None:
 
 @pytest.mark.parametrize(
     ("verb", "factor", "words"),
-    [("adjust", 10.0, "scatter less"), ("adjust", 0.1, "do not agree"), ("calibrate", 0.1, "do not agree")],
+    [
+        ("adjust", 10.0, "smaller than the stated noise"),
+        ("adjust", 0.1, "do not agree"),
+        ("calibrate", 0.1, "do not agree"),
+    ],
 )
 def test_noise_stated_wrong_is_no_agreement_on_either_side(
     verb: str, factor: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
