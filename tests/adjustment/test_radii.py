@@ -166,7 +166,7 @@ def without_normal(recording: Recording) -> Recording:
         (without_normal, r"setup.toml: targets.T10.nest_normal is missing: its SMR small has a radius of 6.35 mm"),
         (
             lambda r: with_setup(r, reference_radius_mm=None),
-            r"different radii \(small of 6.35 and middle of 11.1125 and large of 19.05 mm\): set reference_radius_mm",
+            r"different radii \(small of 6.35 and middle of 11.1125 and large of 19.05 mm\); set reference_radius_mm",
         ),
         (
             lambda r: with_setup(r, reflectors={k: v for k, v in r.setup.reflectors.items() if k != "small"}),

@@ -13,7 +13,7 @@ from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.planning.fast import Reducer
+from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.physics import planned_construction
@@ -53,7 +53,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     at = truth.sightings
     order = [at.target_names.index(name) for name in survey.target_names]
     there = survey.replace(position=at.position, points=at.points[order])
-    reducer, slots = Reducer(there, built), np.arange(len(there.position))
+    reducer, slots = LayoutScorer(there, built), np.arange(len(there.position))
     fast = reducer.reduce(reducer.blocks(there.position, there.yaw, slots, there.visible), slots[None], targets=True)
     slow = LayoutInformation.of(there, built)
     assert fast.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
@@ -71,7 +71,7 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
     seen = survey.visible.copy()
     seen[2:, 0] = False
     lost = survey.replace(visible=seen)
-    reducer, slots = Reducer(lost), np.arange(len(seen))
+    reducer, slots = LayoutScorer(lost), np.arange(len(seen))
     out = reducer.reduce(reducer.blocks(lost.position, lost.yaw, slots, seen), slots[None], targets=True)
     assert not np.isfinite(out.information).any()
     with pytest.raises(NetworkError, match="do not place target T01"):

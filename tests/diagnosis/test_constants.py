@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, evidence, log_sum_exp
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, likelihood_information, log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
 from ltsim.diagnosis.prior import log_share
@@ -40,7 +40,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     """Against densities of what the readings tell, N x + noise of covariance N, with and without a change."""
     adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment())
     unit = prior_sigmas(adjustment.recording, adjustment.construction).ravel()
-    said = evidence(adjustment.state.instrument.ravel(), adjustment.constants_covariance, unit, unit)
+    said = likelihood_information(adjustment.state.instrument.ravel(), adjustment.constants_covariance, unit, unit)
     expected = 0.04 * np.eye(32)
     changes = tuple(Change((1,), k, "nothing") for k in range(16))
     found = compared(adjustment, Expected(np.zeros(32), expected, changes), 2.0)
