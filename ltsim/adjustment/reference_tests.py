@@ -347,7 +347,7 @@ def _most_significant(
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":
             return replace(tests[best], excluded="scale" in kinds)
-        marks = all(tests[k].kind == "mark" for k in likely)  # Either way they stand apart: the later one goes.
+        marks = all(tests[k].kind == "mark" for k in likely)  # Either way they are distinct points: the later one goes.
         chosen = likely[-1] if marks else best
         rivals = tuple(tests[k].name for k in likely if k != chosen)
         return replace(tests[chosen], excluded=marks or not rivals, indistinguishable_from=rivals)

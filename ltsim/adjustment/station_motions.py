@@ -71,7 +71,7 @@ def by_runs(sightings: Sightings) -> Sightings:
 def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
     """The stations whose motion makes all but a few readings fit that do not fit otherwise, and costs less.
 
-    Its price is that of its test, and that of a reading which does not belong the same (as `known` has it).
+    Its price is that of its test, and that of a reading which does not belong the same (as in `reference_tests`).
     """
     recording, problem, motions = adjustment.recording, adjustment.problem, list[Motion]()
     blamed = adjustment.rejected.any() or adjustment.outliers(estimated=True)

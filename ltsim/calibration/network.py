@@ -59,7 +59,7 @@ def calibrate_network(
         Shrink the correction (`calibration.shrinkage`), widen the prior of constants that contradict it, and identify
         simple causes. Without it the model and the priors are the declared ones, and the estimates are linear in the
         readings.
-    extra_effects : sequence of Wanted
+    extra_effects : sequence of RequestedEffect
         Effects of the catalogue, and laws, to estimate too.
     """
     built = construction or declared_construction(recording)

@@ -72,7 +72,7 @@ def diagnose(
         Root seed of the simulated null distribution.
     level : float
         False-alarm rate of the whole search, `LEAST_LEVEL` at least.
-    history : Known, optional
+    history : EarlierCalibrations, optional
         Earlier calibrations that each constant of the instruments is compared with.
     held_out : bool, optional
         Whether the search is repeated without each fold of the readings, which are then predicted: five more searches

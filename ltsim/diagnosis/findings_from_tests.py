@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import GrossFinding
 from ltsim.adjustment.identification import Test
-from ltsim.adjustment.reference_tests import UNITS, ReferenceTest
+from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.findings import among, place_of
@@ -17,8 +16,11 @@ from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
+DECLARED = "declared coordinates"
+"""Name of the erroneous item where a point defines the axes."""
 
-def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
+
+def gross_finding(gross: GrossFinding) -> Finding:
     """The finding of a gross error whose size the network determines."""
     return Finding(
         effect=gross.effect,
@@ -32,46 +34,22 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
     )
 
 
-DATUM = {
-    "point": "known coordinates",
-    "axes": "declared coordinates",
-    "difference": "known difference",
-    "length": "known length",
-    "level": "level",
-    "yaw": "azimuth zero",
-    "mark": "position of the stand",
-}
-"""Name of the erroneous item for each kind of reference value."""
-
-
-def reference_value_finding(test: ReferenceTest, adjustment: Adjustment) -> Finding:
-    """Finding of a reference value that contradicts the rest."""
-    recording = adjustment.recording
-    joined = test.name.partition("#")[0].split("-") if test.kind in ("length", "difference") else []
-    ends = (test.name, *joined)
-    unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
+def axis_finding(test: ReferenceTest) -> Finding:
+    """Finding of a point whose declared coordinates miss the axes of the other points."""
     rows = [
-        Estimate(
-            name=f"off along {axis}" if len(test.error) > 1 else "off", value=e / factor, sigma=s / factor, unit=unit
-        )
-        for axis, e, s in zip(test.axes or "xyz", test.error.tolist(), test.sigma_error.tolist(), strict=False)
+        Estimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
+        for axis, e, s in zip(test.axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
         if np.isfinite(s)
     ]
-    sentence = test.sentence[0].upper() + test.sentence[1:] + "."
     return Finding(
         effect="unknown",
         known=False,
-        where=place_of(
-            stations=(test.name,) if test.name in recording.stations else (),
-            targets=tuple(t for t in recording.targets if t in ends)
-            if test.kind in ("point", "axes", "length", "difference")
-            else (),
-        ),
+        where=place_of(targets=(test.name,)),
         parameters=tuple(rows),
         evidence=Evidence(chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=P_CAP_TESTS),
-        sentence=sentence,
-        formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
-        carrier=DATUM[test.kind],
+        sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
+        formula=f"the {DECLARED} of {test.name} is wrong",
+        carrier=DECLARED,
     )
 
 

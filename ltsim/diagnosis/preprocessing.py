@@ -13,7 +13,7 @@ from ltsim.adjustment.identification.fit import Fit, changed_recording
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Bools
-from ltsim.diagnosis.findings_from_tests import finding_of, gross_finding, reference_value_finding
+from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of, gross_finding
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
@@ -76,5 +76,5 @@ def adapted(
     moved, tripods = correct_centring(baseline)
     if tripods:
         baseline = adjust(moved, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=baseline.state)
-    wrong = [reference_value_finding(test, baseline) for test in baseline.axis_tests if test.excluded]
-    return baseline, ~errors, [*(finding_of(t) for t in tests), *wrong, *(gross_finding(t, baseline) for t in tripods)]
+    axes = [test for test in baseline.axis_tests if test.excluded]
+    return baseline, ~errors, [*map(finding_of, tests), *map(axis_finding, axes), *map(gross_finding, tripods)]

@@ -1,7 +1,7 @@
 """Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
 
-Two steps, so that a search pays for geometry once: `StationBlocks` holds what one set-up contributes, for any
-number of candidate set-ups; `Reducer.reduce` joins set-ups into layouts and eliminates targets (3 x 3 blocks) and
+Two steps, so that a search pays for geometry once: `NormalBlocks` holds what one set-up contributes, for any
+number of candidate set-ups; `LayoutScorer.reduce` joins set-ups into layouts and eliminates targets (3 x 3 blocks) and
 poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
 The Jacobian is that of the construction, the other rows are those of the adjustment; `information.py` is the slow
@@ -168,7 +168,7 @@ class LayoutScorer:
     def rows(self, position: Floats, yaw: Floats, slot: Ints, visible: Bools) -> tuple[Floats, Floats]:
         """Whitened rows of N set-ups: (N, T, r, 3) by the target, (N, T, r, 6 + P) by pose and parameters.
 
-        They are zero for what is not `seen` (N, T). Effects that count time from the start of the work see the first
+        They are zero for what is not `visible` (N, T). Effects that count time from the start of the work see the first
         station too.
         """
         if self.effects and slot.min() > 0:
@@ -203,7 +203,7 @@ class LayoutScorer:
         """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
 
         `slot` (N,) is the station of the layout that each stands for (its time and name, for effects that know them),
-        `seen` (N, T) what it measures; default all.
+        `visible` (N, T) what it measures; default all.
         """
         at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
         visible = np.ones((len(position), len(self.survey.points)), dtype=bool) if visible is None else visible

@@ -40,13 +40,13 @@ class PlaceTable:
     length: Floats
     """(K,): squared lengths of the columns before targets are eliminated, with reflectors at all places."""
     inverse: Floats
-    """(E, 3, 3): of every target but the gauge's, those that stay first, then the places (`Reducer.eliminated`)."""
+    """(E, 3, 3): of all targets but the gauge's, staying ones first, then the places (`LayoutScorer.eliminated`)."""
     weights: Floats
     """(E, 3, K): of the same targets."""
 
     @classmethod
     def of(cls, survey: Survey, stays: Bools, places: Floats, visible: Bools, reducer: LayoutScorer) -> PlaceTable:
-        """Terms of `places`; `reducer` has the staying targets first, then the places; `seen` (S, targets)."""
+        """Terms of `places`; `reducer` has the staying targets first, then the places; `visible` (S, targets)."""
         count, staying = len(survey.position), int(stays.sum())
         slots = np.arange(count)
         only = visible.copy()

@@ -1,7 +1,7 @@
 """Rules that a layout keeps besides the places of its stations: spacing, sights, targets.
 
 Each function tells which parts of layouts break its rule, for many layouts at once (the search) and for one (its
-sentences): `Site` is made of them.
+sentences): `SearchSpace` is made of them.
 """
 
 from collections.abc import Sequence
@@ -40,10 +40,10 @@ def too_near(position: Floats, spacing: float) -> Bools:
 
 
 def short_of_sights(visible: Bools, least: int) -> Bools:
-    """(B, T): targets that fewer than `least` stations see; `seen` is (B, S, T)."""
+    """(B, T): targets that fewer than `least` stations see; `visible` is (B, S, T)."""
     return np.asarray(visible.sum(axis=1) < least)
 
 
 def short_of_targets(visible: Bools) -> Bools:
-    """(B, S): stations that see fewer than `FEWEST` targets; `seen` is (B, S, T)."""
+    """(B, S): stations that see fewer than `FEWEST` targets; `visible` is (B, S, T)."""
     return np.asarray(visible.sum(axis=2) < FEWEST)

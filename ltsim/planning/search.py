@@ -66,7 +66,7 @@ class LayoutSearcher:
         self._steps = 0
 
     def pool(self, position: Floats, yaw: Floats, slot: int, visible: Bools | None = None) -> NormalBlocks:
-        """Set-ups that stand for station `slot`; who is `seen` (N, T) is looked up where it is not given."""
+        """Set-ups that stand for station `slot`; which targets are `visible` (N, T) is computed unless it is given."""
         visible, parts = self.site.visible(position) if visible is None else visible, []
         for a in range(0, len(position), CHUNK):
             chunk = slice(a, a + CHUNK)

@@ -90,7 +90,7 @@ class SearchSpace(ValueEquality):
         return good
 
     def feasible(self, position: Floats, visible: Bools) -> Bools:
-        """(B,): layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `seen` (B, S, T)."""
+        """(B,): layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `visible` (B, S, T)."""
         good: Bools = np.asarray(~short_of_sights(visible, self.min_sights).any(axis=1))
         good &= ~short_of_targets(visible).any(axis=1)
         good &= ~too_near(position, self.spacing).any(axis=(1, 2))
@@ -118,7 +118,7 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def broken_sights(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """Rules that the sights of a layout break: its `seen` holds."""
+        """Rules that the sights of a layout break, by its `visible`."""
         visible, targets, rules = survey.visible[None], survey.target_names, []
         few = [targets[t] for t in np.flatnonzero(short_of_sights(visible, self.min_sights)[0])]
         if few:

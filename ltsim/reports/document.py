@@ -196,7 +196,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """Whole page: header lines, headline `verdict`, sentence `answer`, next actions, sections."""
+    """Content of the page: header lines, headline `verdict`, sentence `answer`, next actions, sections."""
 
     title: str
     answer: str
