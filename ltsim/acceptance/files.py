@@ -9,7 +9,7 @@ from ltsim.recordings.specification import Specification
 
 
 class TestEntry(Entry):
-    """One test."""
+    """An acceptance test, measured or predicted."""
 
     __test__ = False
 
@@ -76,7 +76,7 @@ class WorstEntry(Entry):
     """The instrument that harms points around it most and passes every test."""
 
     constants: dict[str, Finite]
-    """Its constants in the units of the sensitivities."""
+    """Constants of the budget in the units of the sensitivities."""
     rms_um: Finite
     """Error of points around it, 1.5 to 9 m away, after a best fit: root mean square."""
     largest_um: Finite

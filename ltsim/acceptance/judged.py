@@ -24,7 +24,7 @@ RATIO = 4.0
 
 
 def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
-    """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where it is not given."""
+    """Entry of an error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where none is given."""
     sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
     return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 

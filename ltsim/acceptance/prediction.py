@@ -129,7 +129,7 @@ class AcceptancePlan:
         )
 
     def within(self, errors: Floats) -> Bools:
-        """Whether errors (..., k, 2) [m] keep the limits."""
+        """True if errors (..., k, 2) [m] are within the limits, (...,)."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.limits
 
     def smallest_failing(self) -> tuple[Floats, list[Test]]:

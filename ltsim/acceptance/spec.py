@@ -25,7 +25,7 @@ COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm",
 LENGTH = 2.3
 """[m] Shortest reference length of ASME B89.4.19-2006."""
 NEAREST = 1.2
-"""[m] From the instrument to the reference length where it stands as close as can be."""
+"""[m] Distance of the instrument from the reference length in the tests at the closest position."""
 Standard = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
 LENGTHS_OPEN: Standard = "iso-10360-10"
 """The standard whose two-face tests alone are known from open texts; its lengths are read from a table."""
@@ -33,7 +33,7 @@ LENGTHS_OPEN: Standard = "iso-10360-10"
 
 @dataclass(frozen=True)
 class Test:
-    """One test: a length between two points, or one target in both faces (its second point is the first) [m]."""
+    """A test position: a length between two points, or a target in both faces (second point equal to the first) [m]."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
 

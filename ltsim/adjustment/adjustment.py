@@ -1,4 +1,4 @@
-"""Everything that is known of a network after its adjustment."""
+"""Result of a network adjustment: estimates, covariance, tests and warnings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ MAX_TESTED_JOINTLY = 300
 
 @dataclass(frozen=True)
 class FlaggedReading:
-    """One reading that does not belong, by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
+    """A reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
     row: int
     observable: int

@@ -26,12 +26,12 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
 CLOSE = 1e-3
-"""[m] how near a mended pointing must land."""
+"""[m] Largest distance of a corrected pointing from its target."""
 ASIDE = 0.002
 """Share of a height that a pointing may land aside: nothing else comes down so straight."""
 MOST_ROWS = 6
 WRONG_SHAPE = 5e-3
-"""[m] median misfit of two stations' clouds that no tracker error and no single blunder makes."""
+"""[m] Median misfit of two stations' points that neither a tracker error nor a single blunder causes."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ CLEARLY = 4.0
 WORST = 300.0
 """[standard deviations, rms]: approximate coordinates that fit worse than this are none."""
 FLOOR = 1e-4
-"""[share of the range, rad] taken for the standard deviation of everything: neighbours are only roughly placed yet."""
+"""[share of the range, rad] Standard deviation of all readings while the coordinates are approximate."""
 BEST = 150
 """Starts that are followed: those that fit best."""
 ROWS = 12
@@ -54,7 +54,7 @@ class Sight:
         return int(np.isfinite(self.readings).sum())
 
     def few(self) -> tuple[Ints, Sight]:
-        """At most `ROWS` of the rows."""
+        """Subset of at most `ROWS` rows."""
         k = len(self.readings)
         rows = np.arange(k) if k <= ROWS else np.linspace(0, k - 1, ROWS).astype(np.int64)
         return rows, Sight(self.readings[rows], self.horizontal[rows], self.lift[rows])

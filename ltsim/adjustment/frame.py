@@ -22,7 +22,7 @@ from ltsim.recordings.setup import Target
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 ROUGH_PLACE = 0.5
-"""[m] How far a station may stand from its place on a floor plan."""
+"""[m] Largest distance of a station from its position on a floor plan."""
 AT_ONCE = 4096
 """Targets whose medians are taken together."""
 NOWHERE = (np.nan, np.nan, np.nan)
@@ -73,7 +73,7 @@ class Frame:
 
     @property
     def has_places(self) -> bool:
-        """Whether any place is known."""
+        """True if approximate coordinates of a station or target are given."""
         return any(bool(np.isfinite(places).any()) for places in (self.points, self.stations, self.in_plan))
 
     def common(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -140,7 +140,7 @@ class Frame:
         return both[int(np.argmin(rests))]
 
     def resolves_mirror(self, position: Floats, points: Floats) -> bool:
-        """Whether rough places tell a network of ranges from its mirror image."""
+        """True if approximate coordinates distinguish a network of ranges from its mirror image."""
         return self.chirality(np.concatenate([position, points]), np.concatenate([self.plan, self.near])) is not None
 
     def placed(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
@@ -159,7 +159,7 @@ class Frame:
         return points @ rotation.T + shift, True
 
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
-        """Whether a network stands on the floor plan already, as well as the plan knows places."""
+        """True if a network agrees with the floor plan as well as the approximate coordinates permit."""
         motion = self.plan_motion(position, rotation)
         return motion is not None and bool(misses(position, position, motion).max() < ROUGH_PLACE)
 
@@ -230,7 +230,7 @@ def _thickness(points: Floats) -> float:
 
 
 def on_a_line(points: Floats) -> bool:
-    """Whether points (k, 3) lie on a line, or so nearly that it tells no turn about it."""
+    """True if points (k, 3) are collinear, or so nearly that they do not determine the rotation about their line."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
@@ -294,7 +294,7 @@ class Pairs:
         return len(self.station)
 
     def of_station(self, station: int) -> slice:
-        """Its pairs."""
+        """Slice of the pairs of a station."""
         return slice(int(self.begin[station]), int(self.begin[station + 1]))
 
     def of_rows(self, recording: Recording, values: Floats) -> Floats:

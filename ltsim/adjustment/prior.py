@@ -48,7 +48,7 @@ class ParameterPrior:
 
     @cached_property
     def correlated(self) -> bool:
-        """Whether any two parameters are."""
+        """True if any two parameters are correlated."""
         return bool(np.any(self.covariance[:, ~np.eye(self.mean.shape[1], dtype=bool)]))
 
     @cached_property

@@ -99,7 +99,7 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
 
 
 def _how(here: Floats, there: Floats) -> str:
-    """In which way the known points (k, 3) `there` differ from the network that the readings make."""
+    """Text on the difference of control points (k, 3) `there` from the network `here`: scale, mirror image, points."""
     spread = [float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2))) for x in (here, there)]
     if len(here) < 3 or not spread[0] > 0.0:
         return "check their coordinates"
@@ -129,7 +129,7 @@ def _unused(adjustment: Adjustment) -> Bools:
 
 
 def _unit_that_fits(adjustment: Adjustment) -> str:
-    """As what the readings agree with each other: `gon, not degrees`; empty where nothing tried does."""
+    """Unit that makes the readings agree with each other, as `gon, not degrees`; empty if no unit does."""
     recording, most = adjustment.recording, CONTRADICTION
     if adjustment.sigma0 > CONTRADICTION:
         most = HEALED * adjustment.sigma0

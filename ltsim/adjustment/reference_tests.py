@@ -73,7 +73,7 @@ USUAL = 3
 RIVAL = 100.0
 """Likelihood ratio to the second best hypothesis above which a single reference value is identified as erroneous."""
 BY_FAR = 1e-6
-"""If excluding reference values lowers chi-square below this fraction, they are rejected by that alone."""
+"""Fraction of chi-square: reference values whose exclusion lowers chi-square below it are rejected by that alone."""
 MOST_OUT = 1 / 3
 """Share of the reference values of a kind above which they are inconsistent and none is identified."""
 

@@ -92,7 +92,7 @@ class ResidualSpace:
         return self.projection.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
     def chi2_drop(self, signature: Floats) -> tuple[float, int]:
-        """By how much chi-square falls when signatures (m, q) are estimated too, and how many of them show."""
+        """Decrease of chi-square when signatures (m, q) are estimated too, and the number of estimable ones."""
         scores = self._visible(signature).T @ self.residual
         return float(scores @ scores), len(scores)
 

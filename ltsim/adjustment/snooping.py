@@ -26,9 +26,9 @@ from ltsim.solve.gauss_newton import Solution, solve
 LEAST = 10
 """Rows without a clock that must repeat others, all of those that could, before they count as copies."""
 LARGEST_ERROR = 1e-3
-"""[m] what no tracker error of a plausible size reaches at workshop range."""
+"""[m] Error that no plausible tracker error reaches within `WORKSHOP`."""
 WORKSHOP = 10.0
-"""[m] range up to which that holds; beyond, errors of the angles grow with the range."""
+"""[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
 FACTOR = 30.0
 PASSES = 20
 SETTLED = 0.9

@@ -89,7 +89,7 @@ class NetworkInitialiser:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every station and target has a place."""
+        """True if every station and target has coordinates."""
         return bool(self._joined.all() and self._have.all())
 
     @property
@@ -179,7 +179,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_new(self, key: int, effort: int) -> bool:
-        """Whether a station (or a target, -1 less its number) was not tried in vain with as much already."""
+        """True if a station (or a target, -1 less its number) has not failed before with as many neighbours."""
         tried, self._tried[key] = self._tried.get(key), effort
         return tried != effort
 

@@ -45,7 +45,7 @@ class EvenMotion(StationMotion):
     parameters = StationBump.parameters
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Its share of the whole motion at each pointing, for each component."""
+        """Share of the whole motion at each pointing, for each component."""
         longest = np.full(len(sightings.station_names), 1e-9)
         np.maximum.at(longest, sightings.station, sightings.station_time)
         share = by_runs(sightings).station_time / longest[sightings.station]

@@ -71,13 +71,13 @@ class Component:
     """The noise of one group of readings."""
 
     observable: str
-    """One of the readings, or ``level``."""
+    """Name of the observable, or ``level``."""
     instrument: str
     """'' where all instruments are one group."""
     factor: float
-    """On the stated standard deviations."""
+    """Factor on the declared standard deviations."""
     sigma: float
-    """One standard deviation of `factor`; infinite where it could not be estimated."""
+    """Standard deviation of `factor`; infinite where it could not be estimated."""
     redundancy: float
     """Sum of the redundancy numbers of the group's readings."""
 

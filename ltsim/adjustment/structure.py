@@ -97,7 +97,7 @@ class NetworkRows:
 
     @property
     def knows_nothing(self) -> bool:
-        """Whether no known length, point, difference, level or azimuth zero joins the readings."""
+        """True if no reference length, point, difference, level or azimuth zero is in the network."""
         references = self.gauge, self.control, self.mark_control, self.differences, self.levels, self.yaws
         return not any(len(rows) for rows in references)
 
@@ -124,10 +124,10 @@ class Structure:
     constraints_on_unseen: int
     """Known coordinates of unseen targets: they check nothing."""
     scale: Ints
-    """One target, whose distance from the first station is held where directions alone tell no scale and rough places
-    of the datum do; else none."""
+    """Target (one or none) whose distance from the first station the datum holds, where directions leave the scale open
+    and approximate coordinates fix it."""
     in_plan: bool
-    """Whether all heights are held: then a translation along the vertical is none that the datum holds."""
+    """True if the datum holds all heights: a vertical translation is then no datum defect."""
 
     @classmethod
     def of(cls, network: NetworkRows) -> Structure:
@@ -215,12 +215,12 @@ class Structure:
 
     @property
     def anchors_turn(self) -> bool:
-        """Whether the datum rows hold the turns of the anchors too."""
+        """True if the datum rows also hold the rotations of the anchors."""
         return len(self.oriented_stations) > 0
 
 
 def _takes_scale(network: NetworkRows) -> bool:
-    """Whether nothing that was measured or is known tells the scale, and rough places of the datum's targets do."""
+    """True if the scale follows from approximate coordinates, and not from measurements or reference values."""
     use, recording, control_axes = network.use, network.model.recording, network.control.axes
     high = use[:, 2].any()
     has_scale = use[:, 0].any() or len(network.gauge) or len(network.differences) or len(network.mark_control)

@@ -45,7 +45,7 @@ class Verdict:
     sentence: str
     """The verdict and why, for a person."""
     by_estimate: bool
-    """Whether standard deviations should be multiplied with the estimated sigma0."""
+    """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
 def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:

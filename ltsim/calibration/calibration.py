@@ -89,7 +89,7 @@ class Calibration(Result):
     """`network`, `distance`, `distance-l1`; `adjustment` for a network without instrument parameters."""
     construction: Construction
     instruments: tuple[str, ...]
-    """Their names; one unnamed instrument is called ''."""
+    """Names of the instruments; a single unnamed instrument is called ''."""
     values: Floats
     prior_sigma: Floats
     """(I, p) [SI] each."""
@@ -105,7 +105,7 @@ class Calibration(Result):
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """(T, 3, 3) [m^2]."""
     criteria: Criteria | None = None
-    """None where a single station leaves nothing to compare."""
+    """Criteria of the paper; None for a single station, which has no comparison."""
     outliers: tuple[OutlierRow, ...] = ()
     verdict: Verdict | None = None
     """Verdict on the test to trust where tests disagree; None for the distance methods and for results from a file."""
@@ -315,7 +315,7 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
 
 
 def residuals_table(adjustment: Adjustment) -> Table:
-    """One row an observation that was used, rows counted from 1."""
+    """Table of residuals: a row per observation in use, numbered from 1."""
     recording = adjustment.recording
 
     def row(i: int, k: int) -> list[object]:

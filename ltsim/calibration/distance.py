@@ -143,7 +143,7 @@ class Propagation:
     """
 
     recording: Recording
-    """As it was measured."""
+    """Recording, uncorrected."""
     construction: Construction
     values: Floats
     """(I, p)."""

@@ -56,7 +56,7 @@ class Estimates:
     """(q, 3 n + g): covariance of the error with the whitened readings and gauge lengths."""
     undetermined: tuple[Direction, ...]
     objective: float
-    """[m^2] for least squares, [m] for absolute deviations."""
+    """Objective at the minimum: [m^2] for least squares, [m] for absolute deviations."""
     iterations: int
     converged: bool
 

@@ -41,7 +41,7 @@ class DifferenceEntry(Entry):
 
 
 class ChangeEntry(ChiSquareEntry):
-    """From one calibration to another."""
+    """Change between two calibrations."""
 
     from_: str = Field(alias="from")
     """The earlier calibration."""
@@ -54,7 +54,7 @@ class ChangeEntry(ChiSquareEntry):
 
 
 class CourseEntry(Entry):
-    """One parameter over the calibrations, in the unit a person reads."""
+    """Course of a parameter over the calibrations, in its display unit."""
 
     name: str
     """Name of the parameter."""
@@ -96,7 +96,7 @@ class EventEntry(Entry):
 
 
 class CalibrationOf(Entry):
-    """One calibration of a history."""
+    """Calibration of a history."""
 
     label: str
     """Name of the calibration in the report."""
@@ -113,7 +113,7 @@ class HistoryFile(ResultFile):
     construction: str = ""
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     calibrations: tuple[CalibrationOf, ...]
-    """In the order of time."""
+    """Calibrations in the order of time."""
     parameters: tuple[CourseEntry, ...] = ()
     """Each over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
@@ -121,11 +121,11 @@ class HistoryFile(ResultFile):
     constant: ChiSquareEntry | None = None
     """Test that nothing changed."""
     changes: tuple[ChangeEntry, ...] = ()
-    """From each to the next."""
+    """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
     """Significant steps; empty also where there are too few calibrations to test them."""
     since_first: ChangeEntry
-    """From the first to the last."""
+    """Change between the first and the last calibration."""
 
     @model_validator(mode="after")
     def _values_match_calibrations(self) -> Self:

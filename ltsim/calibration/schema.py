@@ -59,20 +59,20 @@ class Fit(Entry):
 
 
 class ParameterEntry(Entry):
-    """One estimate in the unit a person reads."""
+    """Estimate of a parameter in its display unit."""
 
     name: str
     """Name of the parameter, as in `ltsim effects` and the construction."""
     value: Finite
     """Correction, truth minus reading."""
     sigma: Sigma = None
-    """Its standard deviation."""
+    """Standard deviation of the estimate."""
     unit: str
     """Unit of value and standard deviations."""
     prior_sigma: Positive | None = None
     """Prior standard deviation of the parameter, in `unit`."""
     held: bool = False
-    """Not estimated: held at this value."""
+    """True if not estimated but fixed at this value."""
     prior_rejected: bool = False
     """The readings contradict the prior, and the estimate follows them."""
     applied: OptionalFloat = None
@@ -85,7 +85,7 @@ class HarmonicEntry(Entry):
     """A cosine and a sine together, as amplitude and phase; no phase where the amplitude drowns in its sigma."""
 
     name: str
-    """Its name."""
+    """Name of the combination."""
     amplitude: Finite
     """Amplitude of the harmonic, in `unit`."""
     sigma: Sigma
@@ -125,9 +125,9 @@ class DeterminedEntry(Terms):
     """A combination of parameters that the recording determines far better than each of them."""
 
     value: Finite
-    """Its size."""
+    """Size of the effect's parameter."""
     sigma: OptionalFloat = None
-    """Its standard deviation."""
+    """Standard deviation of the size."""
     unit: str = ""
     """Unit of value and standard deviation."""
     instrument: str = ""
@@ -138,11 +138,11 @@ class StationPose(Entry):
     """Pose of a station: mm, quaternion x y z w from instrument to network."""
 
     name: str
-    """Its name."""
+    """Name of the station."""
     position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat]
-    """In the frame that the file names; no height where it was adjusted in plan only."""
+    """Position in the frame that the file names; without height if adjusted in plan only."""
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
-    """From instrument to network."""
+    """Rotation from instrument to network."""
     sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
     """Standard deviation of each coordinate [mm]."""
     sigma_rotation_arcsec: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
@@ -200,9 +200,9 @@ class OutlierRow(Entry):
     p_value: OptionalFloat = None
     """p-value, corrected for all readings, by the test that the verdict trusts; none where excluded."""
     gross: bool = False
-    """It is the largest residual of a whole pointing that was excluded."""
+    """True if this is the largest residual of a pointing that was excluded as a whole."""
     excluded: bool = False
-    """It did not take part in the adjustment."""
+    """True if the reading did not take part in the adjustment."""
 
 
 class ReferenceValueEntry(Entry):
@@ -229,7 +229,7 @@ class ReferenceValueEntry(Entry):
     w: Finite
     """Square root of the decrease of chi-square without the whole reference value."""
     excluded: bool = False
-    """It contradicts the rest and did not take part in the adjustment."""
+    """True if the value contradicts the others and did not take part in the adjustment."""
 
 
 class NoiseRow(Entry):
@@ -292,9 +292,9 @@ class FittedParameterEntry(Entry):
     """A parameter of an effect, a constant that the readings chose, or the size of a law."""
 
     name: str
-    """As `ltsim effects` lists it; of a law as in a diagnosis: amplitude and phase, or swing."""
+    """Name as `ltsim effects` lists it; for an empirical law amplitude and phase, or swing, as in a diagnosis."""
     value: Finite | str
-    """In its unit; a word for a constant that is one."""
+    """Value in its unit; a text for a constant that is a name."""
     sigma: Sigma = None
     """Standard deviation."""
     unit: str
@@ -309,7 +309,7 @@ class FittedEffectEntry(Entry):
     where: str = ""
     """Stations and targets to which it is confined; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
-    """Its parameters and constants."""
+    """Parameters and constants of the effect."""
     chi2_drop: NotNegative
     """Decrease of chi-square."""
     freedom: int

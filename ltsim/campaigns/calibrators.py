@@ -56,7 +56,7 @@ class Stack(CellTruth):
     """Truths whose stations see the same targets; geometries end in the trial."""
 
     truths: tuple[CellTruth, ...] = ()
-    """One a trial; what they share is that of the first."""
+    """Truths, one per trial; shared quantities are those of the first."""
     rows: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
     """(n, B): where the pointings of the first are in each trial, which may take them in another order."""
 

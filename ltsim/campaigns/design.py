@@ -54,7 +54,7 @@ class Design(TomlSection):
     """Points spread evenly over ranges of several keys at once, where a grid would need too many cells."""
 
     kind: Literal["latin-hypercube", "sobol"]
-    """One point in each slice of every range (McKay 1979), or a scrambled Sobol sequence (Owen 1998)."""
+    """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
     """Number of points; for a Sobol sequence a power of two."""
     ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MOST_RANGES)]
@@ -94,7 +94,7 @@ class Factor(Entry):
     """Type of its values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Its value in a cell, from the tables of the cell's scenario; tables as JSON, None for what is not there."""
+        """Value of the factor in a cell, from the tables of its scenario; tables as JSON, None for an absent key."""
         value = value_at(dict(scenario), self.keys[0])
         return json.dumps(value) if isinstance(value, (dict, list)) else value
 

@@ -103,7 +103,7 @@ class Calibrator:
 
 
 def recording_of(truth: CellTruth, block: Block, trial: int) -> Recording:
-    """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
+    """Recording of a trial, as any calibrator takes it: readings and declared lengths, no truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
     lengths = ReferenceLengths.of(recording)
     return certified_by(recording, (lengths.length + block.gauge_error[:, trial]) / lengths.factor)
@@ -147,7 +147,7 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class Single(Calibrator):
-    """One recording after the other, by the calibrator that users have."""
+    """Serial engine: each recording calibrated on its own by `lt.calibrate`."""
 
     applied: bool = False
     """Flag: corrections applied to readings replace the estimates; the sigmas stay those of the estimates."""

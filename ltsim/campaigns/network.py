@@ -65,7 +65,7 @@ class NetworkKnowns:
     """Derivatives and model of a reference network, reused by a network of the same set-up."""
 
     network: BatchNetwork
-    """One of the same set-up with the same pointings elsewhere."""
+    """Batch network of the same set-up and pointings, with other coordinates."""
     by_point: Floats
     """(n, 3, 3): derivative of the nominal readings by the local points."""
     by_value: Floats
@@ -77,16 +77,16 @@ class BatchNetwork:
     """A network around its nominal state, ready to adjust any number of trials."""
 
     recording: Recording
-    """Its readings are the nominal ones: those of an ideal tracker at `state`."""
+    """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: State
     construction: Construction
     """Construction whose parameters are estimated."""
     program: ChainProgram
-    """Its chain around the nominal readings."""
+    """Kinematic chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Further effects that are estimated. The errors that the recording states are estimated too (`stated`)."""
     shared: NetworkKnowns | None = None
-    """Without it everything is found out; not for networks with further effects."""
+    """Quantities shared by networks of the same set-up, computed if None; not for networks with further effects."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """(3,): which of range, azimuth and elevation are adjusted."""
 
@@ -290,7 +290,7 @@ class BatchNetwork:
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """From deviations (3 n,) and other rows (r,) to the first step (K,); from part of that to predicted readings.
+        """Matrices from deviations (3 n,) and other rows (r,) to the first step (K,), and on to predicted readings.
 
         Poses, targets and parameters predict readings; all else is taken off the measured ones.
         """

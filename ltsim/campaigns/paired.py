@@ -64,7 +64,7 @@ class Paired(Result):
 
 
 def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> Paired:
-    """As `Results.paired`."""
+    """Paired comparison of methods; see `Results.paired`."""
     if len(between) != 1:
         raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
     ((along, (first, second)),) = between.items()

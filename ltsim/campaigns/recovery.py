@@ -156,7 +156,7 @@ class Recovery(Result):
         return self._stacked("z")
 
     def rows(self) -> list[dict[str, object]]:
-        """One row a trial and parameter, in its unit: `trials.csv`."""
+        """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
         return [
             {"trial": number, "parameter": name, "unit": trial.units[k], "truth": trial.truth[k],
              "estimate": trial.estimate[k], "sigma": trial.sigma[k], "z": trial.z[k],

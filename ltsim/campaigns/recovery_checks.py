@@ -92,7 +92,7 @@ def recovery_checks(
 
 
 def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> RecoveryCheck:
-    """That 95 % of errors (N,) lie within a tolerance."""
+    """Check that 95 % of errors (N,) lie within a tolerance."""
     share = float(np.mean(np.abs(error) <= tolerance))
     return RecoveryCheck.of(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
 

@@ -63,7 +63,7 @@ def from_prior(scenario: Scenario) -> Scenario:
 
 
 def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | FailedTrial:
-    """One trial."""
+    """Result of a trial: simulated, calibrated and compared with the truth."""
     work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
     recording, truth = measure(work, seed, index)
     law = instrument_law(work.scenario, work.construction)

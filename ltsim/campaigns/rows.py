@@ -45,7 +45,7 @@ TOGETHER = 64
 
 @dataclass(frozen=True)
 class ShardTask:
-    """One shard of one cell, as any worker can take it."""
+    """Shard of a cell, as a task for any worker."""
 
     campaign: Campaign
     scenario: Scenario
@@ -211,7 +211,7 @@ class TrialBlock:
     checked: Ints
     """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
     drawn: bool = False
-    """Nothing is calibrated."""
+    """True if rows contain the drawn truth only, without a calibration."""
 
     @cached_property
     def shared(self) -> Columns:

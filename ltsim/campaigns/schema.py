@@ -204,7 +204,7 @@ TRIALS = Table(
 
 
 class CellEntry(Entry):
-    """One cell of the grid."""
+    """Cell of the grid."""
 
     cell: Whole
     """Number of the cell."""

@@ -28,7 +28,7 @@ JUDGE = "judge"
 
 
 class Method(TomlSection):
-    """One calibrator.
+    """Calibration method of a campaign.
 
     `solver`: ``batch`` calibrates all trials of a geometry together, ``single`` one recording after the other by the
     calibrator that users have; they agree (every campaign verifies it), the first is hundreds of times as fast.
@@ -54,7 +54,7 @@ class Method(TomlSection):
 
     @property
     def title(self) -> str:
-        """Its name in the results."""
+        """Name in the results."""
         return self.name or self.method
 
     @model_validator(mode="after")
@@ -244,7 +244,7 @@ def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Ca
 
 @dataclass(frozen=True)
 class Cell:
-    """One setting of a campaign."""
+    """Cell of a campaign: a combination of settings."""
 
     scenario: Scenario
     judge: Scenario | None

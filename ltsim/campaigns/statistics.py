@@ -286,7 +286,7 @@ class Statistics:
         return [Checked(*row) for row in self._each(f"count(*), {ended}, count({CHECKED}), max({CHECKED})")]
 
     def summary(self) -> dict[str, Any]:
-        """Everything a report needs, as plain data."""
+        """Content of the report, as plain data."""
         wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
         return {
             "format": "ltsim-campaign-summary/1",

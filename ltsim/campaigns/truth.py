@@ -64,7 +64,7 @@ class CellTruth:
     """True geometry of a cell, and the distributions from which its trials are drawn."""
 
     recording: Recording
-    """Its readings are the nominal ones: those of an ideal tracker at `state`."""
+    """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: State
     """True poses and targets, in the frame in which a calibrator starts (that of the first station)."""
     population: TrialDraws

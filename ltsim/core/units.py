@@ -99,7 +99,7 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\
 
 @functools.cache
 def ratio(unit: str, other: str) -> Decimal:
-    """One `unit` in `other`, both of angle, length or time, to the last digit."""
+    """Ratio of `unit` to `other`, both of angle, length or time, to the last digit."""
     if unit in _CIRCLE:
         return _CIRCLE[other] / _CIRCLE[unit]
     return Decimal(repr(FACTOR[unit])) / Decimal(repr(FACTOR[other]))

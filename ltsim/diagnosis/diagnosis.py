@@ -78,7 +78,7 @@ class Diagnosis(Result):
         }
 
     def _findings(self) -> Columns:
-        """One row per parameter of a finding; an unknown effect without parameters has one row."""
+        """Rows of findings, one per parameter; an unknown effect without parameters has one row."""
         nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
         rows = [(finding, p) for finding in self.findings for p in finding.parameters or (nothing,)]
         return {

@@ -20,7 +20,7 @@ from ltsim.physics.effects.signature import Tunable
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One possible cause of a misfit, and the log prior of its place and shape.
+    """Possible cause of a misfit, and the log prior of its place and shape.
 
     Attributes
     ----------

@@ -153,7 +153,7 @@ class LawBatch:
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 
     def _turned(self, gram: Floats, part: slice) -> list[tuple[Floats, Singles]]:
-        """For each scale eigenvalues (P, C, d, k), and the matrix that turns scores along eigenvectors."""
+        """Eigenvalues (P, C, d, k) per scale, and the matrix that transforms scores to eigenvectors."""
         turned = []
         for spread in (spread[part] for spread in self._spreads):
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])

@@ -71,11 +71,11 @@ class Estimate(Entry):
     """A parameter of a finding, or a constant of an instrument: a correction, truth minus reading."""
 
     name: str
-    """Its name."""
+    """Name of the parameter."""
     value: Finite
-    """Its size."""
+    """Estimated size."""
     sigma: Finite = 0.0
-    """Its standard deviation."""
+    """Standard deviation of the size."""
     unit: str = ""
     """Display unit of value and standard deviation."""
 
@@ -102,18 +102,18 @@ class Curve(Entry):
 
 
 class Finding(Entry):
-    """One thing left out of the model."""
+    """Finding: an effect that is missing from the model."""
 
     effect: str
     """Id of the catalogue, or `unknown`."""
     is_catalogued: bool = Field(default=True, alias="known")
-    """It is an effect of the catalogue."""
+    """True for an effect of the catalogue."""
     sentence: str = ""
     """The same for a person."""
     where: Where = Where()
     """Scope of the finding."""
     parameters: tuple[Estimate, ...] = ()
-    """Its size."""
+    """Sizes of the effect."""
     target_shift_rms_um: OptionalFloat = None
     """Displacement of the targets where it is not modelled [um]: rms after the best rigid fit."""
     evidence: Evidence
@@ -161,9 +161,9 @@ class BeforeAfter(Entry):
     """Fit without and with the findings."""
 
     before: Misfit
-    """Without the findings."""
+    """Misfit without the findings."""
     after: Misfit
-    """With them."""
+    """Misfit with the findings."""
 
 
 class Undetectable(Entry):
@@ -172,7 +172,7 @@ class Undetectable(Entry):
     effect: str
     """Id of the catalogue."""
     reason: str = ""
-    """Why it leaves no trace here."""
+    """Reason for which it has no detectable influence on these readings."""
     undetected_target_error_um: OptionalFloat = None
     """Error of the targets that a bad but plausible size of it hides."""
     detectable_at_factor: OptionalFloat = None
@@ -198,7 +198,7 @@ class InstrumentEntry(Entry):
     """The ordinary calibration of one instrument."""
 
     name: str
-    """Its name."""
+    """Name of the instrument."""
     parameters: tuple[Estimate, ...] = ()
     """Estimates."""
     determined: tuple[DeterminedEntry, ...] = ()
@@ -222,10 +222,10 @@ class DiagnosisFile(ResultFile):
     tests: tuple[Test, ...] = ()
     """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
     fit: BeforeAfter | None = None
-    """Without and with the findings."""
+    """Misfit without and with the findings."""
     undetectable: tuple[Undetectable, ...] = ()
     """Effects that are not detectable in this network."""
     detectable: tuple[DetectableEntry, ...] = ()
     """Smallest detectable sizes of all other effects."""
     instruments: tuple[InstrumentEntry, ...] = ()
-    """Their ordinary calibration."""
+    """Ordinary calibration of each instrument."""

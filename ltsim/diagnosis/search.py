@@ -53,7 +53,7 @@ MOST_CACHED = 16
 MOST_LAWS = 400
 """Number of screened laws that stay in a ranking."""
 WIDER = 1.15
-"""If marginalising over shape inflates sigma by more than this factor, the posterior is reported instead of the Laplace
+"""Ratio of sigmas: if marginalising over shape inflates sigma by more, the posterior is reported in place of Laplace's
 approximation."""
 
 
@@ -191,7 +191,7 @@ class Searcher:
         return effect, value
 
     def _over(self, effect: Tunable, shape: ShapeParameter, base: Model, value: float) -> tuple[Tunable, float]:
-        """One shape constant: best value and log mean evidence over a cell, by the trapezoidal rule."""
+        """Best value of a shape constant, and log mean evidence over its cell by the trapezoidal rule."""
         now = float(getattr(effect, shape.name))
         low, high = shape.bracket(now)
         if not low < high:

@@ -42,7 +42,7 @@ def interpolate(shape: ShapeParameter, low: float, high: float, u: float) -> flo
 
 
 def are_distinct(effect: Tunable, other: Tunable) -> bool:
-    """Whether two effects differ in place, or in a shape constant by more than integration reaches."""
+    """True if two effects differ in place, or in a shape constant by more than the integration covers."""
     if (effect.stations, effect.targets) != (other.stations, other.targets):
         return True
     for shape in type(effect).shape:
@@ -65,7 +65,7 @@ class ShapeNode(NamedTuple):
     mean: Floats
     variance: Floats
     gap: float
-    """[s] Between the pointings before and after a change."""
+    """[s] Gap between the pointings before and after a change."""
 
 
 def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:

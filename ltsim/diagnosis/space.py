@@ -158,7 +158,7 @@ class _Maker:
 
 
 def _swings(kind: str, wave: Regressor) -> bool:
-    """Whether a kind of carrier is tried with a wave: a reading in anything, what is built or stands in time."""
+    """True if a wave is a candidate for a kind of response: readings with any covariate, others in time."""
     return kind == "reading" or wave.covariates[0] in ("time", "station-time")
 
 

@@ -1,4 +1,4 @@
-"""From a recording to the physics that was left out."""
+"""Public functions of the diagnosis: what is missing from the model of a recording."""
 
 from pathlib import Path
 

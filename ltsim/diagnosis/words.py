@@ -29,7 +29,7 @@ def estimates(parameters: Sequence[Estimate]) -> str:
 
 
 def _estimate(parameter: Estimate) -> str:
-    """One estimate in a phrase; an added variance as the factor on the declared standard deviation."""
+    """Text of an estimate; for an added variance the factor on the declared standard deviation."""
     name, value, sigma = parameter.name.replace("_", " "), parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
@@ -38,7 +38,7 @@ def _estimate(parameter: Estimate) -> str:
 
 
 def place(where: Where) -> str:
-    """Where, in a phrase."""
+    """Text of a place."""
     kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
     parts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
     if where.observables:

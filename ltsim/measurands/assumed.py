@@ -46,7 +46,7 @@ def open_motions(epoch: Coordinates) -> Floats:
 
 
 def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
-    """For each common point the number of the point whose name its place has in the second epoch; None where all agree.
+    """Number of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
     Each of the `moved` points stands where another of them stood in the first epoch, far from its own place.
     """

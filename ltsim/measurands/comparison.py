@@ -43,7 +43,7 @@ COVERAGE = 0.95
 
 
 class Displacement(Entry):
-    """One point: place in the first epoch [mm], displacement and its uncertainty [um]."""
+    """Displacement of a point: position in the first epoch [mm], displacement and its uncertainty [um]."""
 
     target: str
     """Name of the target."""
@@ -68,7 +68,7 @@ class Displacement(Entry):
 
     @property
     def row(self) -> list[Any]:
-        """Its row of `DISPLACEMENTS`."""
+        """Row of `DISPLACEMENTS`."""
         sizes = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
         return [self.target, self.moved, *sizes, self.p_value, self.visible_um[1]]
 
@@ -98,7 +98,7 @@ class Comparison(ResultFile, Result):
     notes: tuple[str, ...] = ()
     """Assumptions about the epochs: motions that they leave undetermined, names that are exchanged."""
     displacements: tuple[Displacement, ...]
-    """One a common point, in the order of the first recording."""
+    """Displacements, one per common point, in the order of the first recording."""
 
     __repr__ = __str__ = Result.__repr__
 

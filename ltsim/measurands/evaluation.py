@@ -32,9 +32,9 @@ class Evaluation(Result):
     inputs: Inputs
     measurands: tuple[Measurand, ...]
     linear: Propagated
-    """By the law of propagation."""
+    """Uncertainty by the law of propagation (GUM)."""
     drawn: Drawn
-    """By Monte Carlo."""
+    """Uncertainty by Monte Carlo (JCGM 101)."""
     agrees: Bools
     """(k,): whether the linear interval is that of the distribution (JCGM 101, clause 8)."""
     curved: Floats

@@ -126,7 +126,7 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
 
 
 def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
-    """One set after another: the best of many axes, each with an algebraic circle across it, is refined."""
+    """Cylinder through points: the best of many axes, each with an algebraic circle across it, is refined."""
     if near is not None:
         return _refined_cylinder(local, near.normal, near.centre, near.radius)
     features = []

@@ -55,7 +55,7 @@ class Distribution(Entry):
 
 
 class BudgetPart(Entry):
-    """One source of a result's uncertainty: its type, its share of the variance, its standard uncertainty."""
+    """Part of an uncertainty budget: type of source, share of the variance, standard uncertainty."""
 
     source: str
     """Name of the source."""
@@ -64,7 +64,7 @@ class BudgetPart(Entry):
     share: float
     """Share of the variance of the result, 0 to 1."""
     standard_uncertainty: float
-    """In the result's unit."""
+    """Standard uncertainty in the result's unit."""
 
 
 class Conformity(Entry):
@@ -75,7 +75,7 @@ class Conformity(Entry):
     upper: float | None
     """Limit of the tolerance."""
     rule: Literal["guarded", "simple"]
-    """As the task file says."""
+    """Decision rule of the task file."""
     guard_band: float
     """Width of the guard band inside each limit, between tolerance and acceptance."""
     probability: float
@@ -87,12 +87,12 @@ class Conformity(Entry):
 
 
 class TaskResult(Entry):
-    """One number of a task with its uncertainty, in its unit."""
+    """Result of a task with its uncertainty, in its unit."""
 
     task: str
     """Name of the task."""
     kind: str
-    """Its kind."""
+    """Kind of task."""
     name: str
     """Name of the result among those of the task."""
     unit: str
@@ -100,13 +100,13 @@ class TaskResult(Entry):
     value: float
     """The estimate."""
     standard_uncertainty: float
-    """By the GUM's law of propagation."""
+    """Standard uncertainty by the GUM's law of propagation."""
     coverage_factor: float
     """Coverage factor of the expanded uncertainty."""
     expanded_uncertainty: float
-    """For the coverage."""
+    """Expanded uncertainty for the coverage."""
     monte_carlo: Distribution
-    """By distributions."""
+    """Distribution by Monte Carlo."""
     curvature: float
     """Gap between the exact adjustment and its linear form, in standard uncertainties."""
     budget: tuple[BudgetPart, ...]
@@ -122,7 +122,7 @@ class TaskResult(Entry):
 
     @property
     def row(self) -> list[Any]:
-        """Its row of `RESULTS`."""
+        """Row of `RESULTS`."""
         largest, drawn = self.budget[0], self.monte_carlo
         sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
@@ -156,7 +156,7 @@ class UncertaintyFile(ResultFile):
     sigma0: OptionalFloat
     """Root of chi-square over degrees of freedom of the adjustment that the points come from; null without one."""
     results: tuple[TaskResult, ...]
-    """One a number."""
+    """Results, one per number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation of the results, in their order."""
     warnings: tuple[str, ...] = ()

@@ -34,7 +34,7 @@ LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker gu
 
 @dataclass(frozen=True)
 class Source(ValueEquality):
-    """One source of uncertainty of the points."""
+    """Source of uncertainty of the points."""
 
     name: str
     kind: Literal["A", "B"]

@@ -1,4 +1,4 @@
-"""From points to results: what each kind of task reports, in units a person reads, for one or many sets of points."""
+"""Measurands: results of each kind of task from points, in display units, for one or many sets of points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class Output:
-    """One number of a task: its name, its unit, and the unit in SI."""
+    """Result of a task: name, unit, and the unit in SI."""
 
     name: str
     unit: str

@@ -50,7 +50,7 @@ class Tolerance(TomlSection):
 
 
 class Task(TomlSection):
-    """One task: what is made of which targets.
+    """A task: a measurand and its targets.
 
     `point` gives coordinates, `rod` those of a hidden point `beyond_mm` past the second of two reflectors on a rod,
     `distance` takes two targets, `angle` three (the vertex in the middle). Features are fitted by least squares.
@@ -72,7 +72,7 @@ class Task(TomlSection):
     scale: bool = False
     """The fit has a scale."""
     beyond_mm: Finite = 0.0
-    """From the second reflector of a rod to its tip."""
+    """Distance from the second reflector of a rod to its tip."""
     radius_offset_mm: Finite = 0.0
     """Added to fitted radii: the SMR's own."""
     tolerances: dict[str, Tolerance] = Field(default_factory=dict)
@@ -103,7 +103,7 @@ class TypeB(TomlSection):
     """
 
     effect: str
-    """As `ltsim effects` lists it."""
+    """Name of the effect as `ltsim effects` lists it."""
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
     """Distribution of the sizes."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
@@ -126,11 +126,11 @@ class PartExpansion(TomlSection):
     expansion_per_k: Finite
     """Coefficient of thermal expansion."""
     sigma_expansion_per_k: NonNegative = 0.0
-    """Its standard deviation."""
+    """Standard deviation of the coefficient of expansion."""
     measured_c: Finite = 20.0
     """Temperature of the part at the measurement."""
     sigma_temperature_k: NonNegative = 0.0
-    """Its standard deviation."""
+    """Standard deviation of the temperature."""
     reference_c: Finite = 20.0
     """Temperature at which results hold."""
 
@@ -152,7 +152,7 @@ class Decision(TomlSection):
     """Decision on conformity (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
 
     rule: Literal["guarded", "simple"] = "guarded"
-    """With a guard band for the risk, or the limits as they are."""
+    """Decision rule: limits reduced by a guard band for the risk, or the limits themselves."""
     risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
     """Probability of a wrong acceptance that is allowed."""
 

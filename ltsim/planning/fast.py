@@ -29,7 +29,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
-"""[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
+"""[m, rad] Internal unit of poses and targets, so that all columns have a similar norm."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class NormalBlocks:
     """(N, 6 + P, 6 + P): pose and parameters, summed over targets."""
 
     def take(self, which: Ints) -> NormalBlocks:
-        """Some of the set-ups."""
+        """Subset of the set-ups."""
         return NormalBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @classmethod
@@ -140,7 +140,7 @@ class LayoutScorer:
         return len(self.survey.position)
 
     def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
-        """One pointing of every target on each face from each of N set-ups; `slot` is the station they stand for."""
+        """Sightings of every target on each face from each of N set-ups; `slot` is the station that they represent."""
         survey = self.survey
         axes = np.arange(len(position)), np.arange(len(survey.points)), np.array(survey.faces)
         station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))

@@ -128,11 +128,11 @@ class LayoutInformation:
 
     @property
     def target_rms(self) -> float:
-        """[m] root mean square point error over all targets, weighted as the survey says."""
+        """[m] Root mean square point error over all targets, weighted as the survey says."""
         return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
 
     def parameters(self) -> list[PlannedParameterEntry]:
-        """One row a parameter, in the unit a person reads it in."""
+        """Planned parameters, one row each, in display units."""
         return [
             PlannedParameterEntry(
                 name=p.name,

@@ -1,4 +1,4 @@
-"""From a plan file to a plan: which searches are made, and which of the layouts that they find is the plan."""
+"""Searches of a plan file, and the choice of the plan among their layouts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

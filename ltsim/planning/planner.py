@@ -26,7 +26,7 @@ from ltsim.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class TradeoffPoint(ValueEquality):
-    """One point of the curve: a way of working, the best layout found for it, what it costs and what it is worth."""
+    """Point of the trade-off curve: number of rounds and faces, best layout, cost and quality."""
 
     survey: Survey
     value: float
@@ -37,7 +37,7 @@ class TradeoffPoint(ValueEquality):
 
     @property
     def hours(self) -> float:
-        """[h] the work takes."""
+        """[h] Duration of the work."""
         return self.survey.seconds / 3600.0
 
 
@@ -65,7 +65,7 @@ class StationCountResult:
     ratio: float | None
     """Largest error over its tolerance in the best of them; None without any."""
     has_layout: bool
-    """Some layout keeps points in sight."""
+    """True if a layout sees every point."""
     lacking: str = ""
     """Points that the nearest layout does not see, in words."""
 
@@ -140,7 +140,7 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
 
 
 def evaluated(site: SearchSpace, survey: Survey, objective: Objective, built: Construction) -> LayoutEvaluation:
-    """Everything that is known of a layout before measuring; NetworkError where poses or targets stay open."""
+    """Evaluation of a layout before measuring; NetworkError where poses or targets are undetermined."""
     table = sight_table(site, survey)
     survey = survey.replace(visible=table.visible)
     information = LayoutInformation.of(with_aimed_nests(site, survey), built)

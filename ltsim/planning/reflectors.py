@@ -25,7 +25,7 @@ from ltsim.scene.visibility import aimed_normals
 SWEEPS = 8
 """Rounds of exchanges at most."""
 SAME_PLACE = 1e-3
-"""[m] within which a place is a reflector's own."""
+"""[m] Distance within which a candidate place is the present place of a reflector."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +314,7 @@ class _Trial:
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
         def note(what: ChangeKind, taken: int | None, places: Ints) -> None:
-            """One reflector away, one at each of some places instead; of its moves only the best is kept."""
+            """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
             others = chosen if taken is None else np.delete(chosen, taken)
             start = self.total if taken is None else self.total - terms[chosen[taken]]
             sets = np.column_stack([np.tile(others, (len(places), 1)), places])

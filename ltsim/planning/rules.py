@@ -14,9 +14,9 @@ from ltsim.core.arrays import Bools, Floats
 FEWEST = 3
 """Targets in sight that a station needs."""
 TOUCH = 1e-3
-"""[m] from a point within which no station can look at it."""
+"""[m] Distance within which a station and a point coincide."""
 SLACK = 1e-9
-"""[m] by which two stations may be nearer than the spacing: rounding."""
+"""[m] Tolerance of the minimum spacing of two stations, for rounding."""
 
 
 class BrokenRule(NamedTuple):

@@ -74,7 +74,7 @@ class PlannedParameterEntry(Entry):
 
 
 class ImprovementEntry(Entry):
-    """One of the paper's criteria, expected."""
+    """Expected improvement of a criterion of the paper."""
 
     before_um: Finite
     """Expected mean before calibration."""
@@ -166,7 +166,7 @@ class ConfusablePair(Entry):
 
 
 class PlanChange(Entry):
-    """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
+    """Change of one reflector: moved, added or omitted; `quality` is a factor on the plan's objective."""
 
     do: Literal["move", "add", "remove"]
     """Type of the change."""
@@ -213,7 +213,7 @@ class LossEntry(Entry):
 
 
 class ProposalEntry(Entry):
-    """One further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
+    """Further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
 
     do: str
     """Action in words."""

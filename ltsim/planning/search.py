@@ -26,7 +26,7 @@ TRIES = 12
 PACE = 0.985
 """Factor on the remaining share of the progress bar for each step; the number of steps is not known before."""
 FINEST = 0.004
-"""[m] of the last moves off the grid."""
+"""[m] Step of the last moves off the grid."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ class LayoutSearcher:
         return layout
 
     def from_start(self, seed: int, start: int) -> PlannedLayout:
-        """One start: number 0 begins at the site's own layout where that is allowed, the others at random."""
+        """Result of a start: number 0 begins at the site's declared layout if that is allowed, the others at random."""
         rng = stream(seed, "plan", self.stations, start)
         current = self.site.survey.position, self.site.survey.yaw
         begins_there = start == 0 and np.isfinite(self.evaluate(*current).value)

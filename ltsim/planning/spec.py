@@ -66,11 +66,11 @@ class Surface(TomlSection):
     name: str
     """Places are called NAME-ROW-COLUMN."""
     origin_mm: Vector
-    """One corner."""
+    """Corner of the grid."""
     across_mm: Vector
-    """From the origin along the rows."""
+    """Vector from the origin along the rows."""
     up_mm: Vector
-    """From the origin along the columns."""
+    """Vector from the origin along the columns."""
     columns: Annotated[int, Field(ge=1, le=200)] = 10
     """Places in a row."""
     rows: Annotated[int, Field(ge=1, le=200)] = 6
@@ -78,7 +78,7 @@ class Surface(TomlSection):
 
 
 class CandidatePlace(TomlSection):
-    """One candidate place."""
+    """Candidate place."""
 
     name: str
     """Name of the reflector that goes there."""
@@ -112,9 +112,9 @@ class Budget(TomlSection):
     """Cost of the work, and the settings of it that are tried; times default to the scenario's."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
-    """To choose from, with `hours` or with tolerances to keep: one face, both, or both ways tried (the default)."""
+    """Choices with `hours` or tolerances: one face, both, or both ways tried (the default)."""
     repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] | None = None
-    """To choose from in the same way: numbers of rounds; default 1 and 2."""
+    """Choices of the number of rounds, with `hours` or tolerances; default 1 and 2."""
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative | None = None
@@ -205,7 +205,7 @@ class PlanFile(TomlSection):
     instrument: ScenarioInstrument | None = None
     """The tracker of that hall, as in a scenario file."""
     smr: Smr | None = None
-    """Its reflectors, as in a scenario file."""
+    """Reflectors, as in a scenario file."""
     work: Work | None = None
     """Order and clock of the work there, as in a scenario file; points as listed unless it says so."""
     air: Air = Air()
@@ -229,7 +229,7 @@ class PlanFile(TomlSection):
 
     @property
     def asks_for_sights(self) -> bool:
-        """It says from how many stations each reflector must be seen."""
+        """True if the file demands a number of stations that see each reflector."""
         return "min_stations_per_target" in self.stations.model_fields_set
 
     @property

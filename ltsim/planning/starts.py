@@ -37,7 +37,7 @@ Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
 
 @dataclass(frozen=True)
 class SearchTask:
-    """One search."""
+    """A search, as a task for a worker."""
 
     stations: int
     faces: int
@@ -143,7 +143,7 @@ def search_from_start(
     tell: Callable[[float], None] = quiet,
     keep: Callable[[PlannedLayout], None] = quiet,
 ) -> Layout:
-    """One start: stations, then reflectors where they are free, and stations again."""
+    """Result of a start: stations, then reflectors where these are free, and stations again."""
     site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
     rounds, done = 1 if stays.all() else 1 + ROUNDS, 0
     searcher = problem.searcher(site, lambda share: tell((done + share) / rounds), keep)

@@ -42,7 +42,7 @@ class Survey:
     """Pointings of each target on each face."""
     seconds_per_pointing: float = 10.0
     seconds_per_move: float = 1200.0
-    """[s] each."""
+    """[s] Time to carry the instrument and set it up, per station."""
     rank: Ints | None = None
     """(S, T): place of each target in each station's visit; default as listed."""
     face_by_face: bool = True
@@ -77,7 +77,7 @@ class Survey:
 
     @property
     def seconds(self) -> float:
-        """[s] the whole work takes: every station is carried there, then points."""
+        """[s] Duration of the whole work: set-up and pointings of every station."""
         return self.pointings * self.seconds_per_pointing + len(self.position) * self.seconds_per_move
 
     @property

@@ -1,4 +1,4 @@
-"""From a plan to work on the shop floor: each tripod placed by tape, the order of measuring, what to check."""
+"""Work order of a plan on the shop floor: tripods placed by tape, order of measuring, checks."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.planner import PlannedNetwork
 
 REACH = 2.2
-"""[m] above the floor to which a point can be plumbed to the floor."""
+"""[m] Largest height from which a point can be plumbed to the floor."""
 TAPE = 15.0
-"""[m] that a tape or a distance meter reaches with ease."""
+"""[m] Longest distance for a tape or a distance meter."""
 MOST_MARKS = 16
 """Marks of a station that are looked at."""
 STRAIGHT = 0.1
 """Least gain in firmness of a distance straight to a reflector over one along the floor."""
 READ, PLAY, CLEAR = 0.01, 0.03, 0.1
-"""[m] to which a tape is read, by how much three may leave the place open, and must miss every other place."""
+"""[m] Resolution of a tape; largest ambiguity of the place from three distances; smallest miss of any other place."""
 NEAR = 0.3
-"""[m] under which a distance fixes nothing."""
+"""[m] Shortest useful distance."""
 ANKLE = 0.1
-"""[m] above the floor at which the tape must have a free way."""
+"""[m] Height above the floor at which the tape must pass freely."""
 BORED = 0.03
 """Least gain in firmness of three distances for one more metre of tape."""
 TRUST = 3.0
@@ -47,14 +47,14 @@ class TapeDistance:
 
     @classmethod
     def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
-        """From an instrument at `station` (3,) [m]."""
+        """Tape distance from an instrument at `station` (3,) [m]."""
         gap = place - station
         return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
 
 
 @dataclass(frozen=True)
 class StationSetup:
-    """One station of the work."""
+    """Station of the work order."""
 
     name: str
     height: float
@@ -143,7 +143,7 @@ def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, 
 
 
 def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
-    """By how much distances change at least for a step on the floor: the least singular value of their slopes."""
+    """Smallest change of distances per step on the floor: the least singular value of their gradients."""
     slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 

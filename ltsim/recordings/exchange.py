@@ -33,7 +33,7 @@ Write = Callable[[Recording, Path], None]
 
 @dataclass(frozen=True)
 class Format:
-    """One format: who recognises it by its first characters, reads and perhaps writes it.
+    """File format: recognition by the first characters, reader, and writer if there is one.
 
     `suffixes` decide only between formats that both recognise a file.
     """

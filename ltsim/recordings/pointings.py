@@ -1,4 +1,4 @@
-"""From pointings, or single observations, as a foreign file lists them to a recording."""
+"""Recordings from lists of pointings or single observations of foreign files."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,7 @@ _UNIT = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
 @dataclass(frozen=True, slots=True)
 class Pointing:
-    """One row: names, face, range [m], azimuth and elevation [rad] (NaN: not measured), time [s]."""
+    """Row of a pointing: names, face, range [m], azimuth and elevation [rad] (NaN: not measured), time [s]."""
 
     station: str
     target: str
@@ -151,7 +151,7 @@ def _repeats(station: Ints, target: Ints, face: Ints) -> Ints:
 
 @dataclass(frozen=True)
 class Observed:
-    """One observation [m, rad], its standard deviation and heights [m] (NaN: not stated), its line (0: not known)."""
+    """Single observation [m, rad], its standard deviation and heights [m] (NaN: not given), its line (0: unknown)."""
 
     kind: Kind
     station: str

@@ -34,7 +34,7 @@ from ltsim.recordings.files import read_bytes, read_text, shown, write_texts
 from ltsim.recordings.recording import Recording
 
 STEP = 1e-6
-"""[m, rad] to which readings are rounded in a digest: writing and reading a recording keeps it."""
+"""[m, rad] Rounding of readings in a digest, so that writing and reading a recording does not change it."""
 OFFSET = 1.0 / np.pi
 """Tolerance of the rounding, in steps: decimal readings lie off its limits."""
 

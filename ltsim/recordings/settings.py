@@ -178,7 +178,7 @@ def _close(name: str, candidates: Any) -> list[str]:
 
 
 def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
-    """One validation error of a file with the tables of `root` as a sentence: key, found, expected."""
+    """Sentence on a validation error of a file with the tables of `root`: key, value, permitted values."""
     # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
     stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
     place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]

@@ -34,7 +34,7 @@ FEWEST_ANGLES = 3
 
 
 class Noise(TomlSection):
-    """One standard deviation of white noise; sigma of a range = distance_mm + distance_ppm * range."""
+    """Standard deviation of white noise; sigma of a range = distance_mm + distance_ppm * range."""
 
     distance_mm: NonNegative = 0.003
     """The part of a range's sigma that does not grow with the range."""
@@ -83,7 +83,7 @@ class Limits(TomlSection):
 
 
 class Instrument(TomlSection):
-    """One instrument: construction, noise, what its maker guarantees, its limits."""
+    """Instrument: construction, noise, maker's guarantee, limits."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Origin of the beam: a source in the turning head, or a mirror that steers it."""
@@ -158,7 +158,7 @@ class Gauge(TomlSection):
     materials: dict[str, Material] | None = None
     """Other materials by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()
-    """One table `[[gauge.distance]]` a length."""
+    """Reference lengths, a table `[[gauge.distance]]` each."""
 
 
 class Station(TomlSection):
@@ -257,7 +257,7 @@ class ReferenceDifference(TomlSection):
 
 
 class Reflector(TomlSection):
-    """One SMR, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
+    """SMR, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
 
     radius_mm: Positive
     """Height of its centre over the surface or the seat of the nest that it stands in: its radius on a plane."""
@@ -316,7 +316,7 @@ class Setup(TomlSection):
     title: str = ""
     """Free text."""
     started: str = ""
-    """When the time of the recording is 0: date and clock in ISO form, or the clock alone."""
+    """Start of the recording (time 0): date and clock in ISO form, or the clock alone."""
     axes: Line | None = None
     """Source of the coordinates of the datum's targets: each target is checked against the others, and one that they
     contradict is left out of the datum and reported."""

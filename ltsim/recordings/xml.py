@@ -19,7 +19,7 @@ from ltsim.core.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAG
 from ltsim.recordings.files import SourceLocation, read_bytes, shown
 
 _LONG_TAG = re.compile(rb"<[^<]{4096,}+")
-"""From one tag to the next, where there is room for too many attributes."""
+"""Tag longer than 4096 characters, which may contain too many attributes."""
 LINE = "{ltsim}line"
 """An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
 
@@ -56,7 +56,7 @@ class _Depth:
         self._depth -= 1
 
     def close(self) -> None:
-        """Nothing was built."""
+        """End of the parser, which builds no tree."""
 
 
 def check_tags(content: bytes, file: Path) -> None:
@@ -125,7 +125,7 @@ class Node:
 
     @property
     def tag(self) -> str:
-        """Its name without its namespace."""
+        """Name of the element without its namespace."""
         return str(self.element.tag).rpartition("}")[2]
 
     @property
@@ -135,12 +135,12 @@ class Node:
 
     @property
     def where(self) -> SourceLocation:
-        """Its place."""
+        """Location of the element in its file."""
         return SourceLocation(self.file, self.line)
 
     @property
     def text(self) -> str:
-        """Its text in one line."""
+        """Text of the element in one line."""
         return " ".join((self.element.text or "").split())
 
     def get(self, name: str, default: str = "") -> str:

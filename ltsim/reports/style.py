@@ -163,7 +163,7 @@ def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
 
 
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
-    """One legend above all panels, each label once."""
+    """Add a common legend above all panels, each label once."""
     handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     columns = columns_for(list(handles), ncols)
     figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=columns)

@@ -22,14 +22,14 @@ GLTF = (".glb", ".gltf")
 SUFFIXES = (*FACETS, *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
 STEP = 1.0
-"""[mm] between neighbouring single-precision numbers at the place of a body, above which a file is refused:
+"""[mm] Spacing of single-precision numbers at the place of a body above which a file is refused:
 halls are planned to the millimetre, and sights pass bodies at a few centimetres."""
 SINGLE = (".stl", *GLTF)
 """Suffixes of files whose coordinates may be in single precision."""
 SMALL = FACTOR["mm"] / FACTOR["in"]
 """Share of the room's length: a body that is shorter may be one whose numbers are inches."""
 BEYOND = 0.05
-"""[m] that a body may reach beyond the room or below its floor."""
+"""[m] Distance by which a body may reach beyond the room or below its floor."""
 PER_METRE = 1e5
 """Corners lie on a grid of 10 um: single precision, as STL and glTF have it, keeps no more over 40 m."""
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

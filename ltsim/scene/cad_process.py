@@ -25,7 +25,7 @@ from ltsim.recordings.files import shown
 EXACT = (".step", ".stp", ".iges", ".igs")
 FACETS = (".stl", ".obj", ".ply")
 DEVIATION = 1.0
-"""[mm] that a triangle may lie off an exact surface: enough to know what hides what."""
+"""[mm] Largest distance of a triangle from the exact surface: sufficient for lines of sight."""
 _START = "from ltsim.scene.cad_process import main; main()"
 _REFUSED = 3
 """Exit status of a process whose library raised an error, named on standard error."""

@@ -20,15 +20,15 @@ Corner = tuple[Finite, Finite]
 Corners = Annotated[tuple[Corner, ...], Field(min_length=3, max_length=500)]
 Heights = tuple[Positive, Positive]
 HEAD_ROOM = 0.3
-"""[m] that the head of an instrument needs above its centre."""
+"""[m] Free height above the centre of an instrument's head."""
 PLACES = 250
-"""That cover the floor where no step is stated; stations are refined off the grid afterwards."""
+"""Number of places that cover the floor where no step is given; stations are refined off the grid afterwards."""
 EDGE = 1e-9
-"""[m] within which a place counts as on an edge."""
+"""[m] Distance within which a place counts as on an edge."""
 
 
 class FloorArea(TomlSection):
-    """One area where tripods may stand."""
+    """Floor area where tripods may stand."""
 
     name: str = ""
     """Name of the area in pictures and messages."""
@@ -153,7 +153,7 @@ def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, flo
 
 @dataclass(frozen=True)
 class Area:
-    """One area of the floor."""
+    """Area of the floor."""
 
     outline: Floats
     """(k, 2) [m]: corners, in order around it."""
@@ -240,7 +240,7 @@ def may_stand(
 def objection(
     areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
 ) -> str:
-    """Why no tripod may stand under an instrument at a position (3,) [m], with the key; empty where one may."""
+    """Reason that no tripod may stand under an instrument at a position (3,) [m], with the key; empty if one may."""
     if may_stand(areas, keep_outs, obstacles, position[None])[0]:
         return ""
     place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]

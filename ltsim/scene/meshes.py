@@ -27,9 +27,9 @@ SMOOTH = np.radians(35.0)
 SIDES = 64
 """Number of sides of a cylinder: 0.1 % more than its diameter at the corners."""
 FOOT = 0.025
-"""[m] from the middle of a nest to the rim of its foot."""
+"""[m] Radius of the foot of a nest."""
 UNEVEN = 0.002
-"""[m] that the surface may deviate from a plane under the foot."""
+"""[m] Largest deviation of the surface from a plane under the foot."""
 STEEPEST = -0.5
 """Height of the normal under which a face looks down too much: nobody hangs a nest under a body."""
 DENSE = 12.0

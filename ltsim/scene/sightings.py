@@ -13,12 +13,12 @@ from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
 
 STILL = 1e-4
-"""[rad] an axis that moved less stood still."""
+"""[rad] Smallest motion of an axis that counts as a move."""
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """Who looks at whom, on which face, when, and the geometry of it.
+    """Sightings of a network: station, target, face and time of each pointing, and its geometry.
 
     n pointings, S stations, T targets; SI units; the network frame unless a name says otherwise.
     """
@@ -135,7 +135,7 @@ class Sightings:
 
     @cached_property
     def slot_responses(self) -> dict[str, Floats]:
-        """For each slot of the misalignment chain: change (n, 3) of the raw reading per unit of correction.
+        """Change (n, 3) of the raw readings per unit of correction, for each slot of the misalignment chain.
 
         A correction lifts the point that a reading describes; for a point that stays, the reading falls,
         hence the minus sign: a residual shows minus the correction.
@@ -214,7 +214,7 @@ class Sightings:
 
     @cached_property
     def quantities(self) -> dict[str, Floats]:
-        """Everything a reading may depend on, (n,) each [SI, or the unit of the recording's own column].
+        """Covariates of the readings, (n,) each [SI, or the unit of the recording's column].
 
         What is unknown, and what came before a station's first pointing, is zero.
         """

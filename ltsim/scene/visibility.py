@@ -1,4 +1,4 @@
-"""Who sees whom, and why not: elevation limits and their shadow cones, range, reflectors' acceptance, obstacles.
+"""Visibility between stations and targets: elevation limits and shadow cones, range, acceptance angles, obstacles.
 
 All tables are stations by targets, analytic and vectorised; only obstacles need rays (`scene.meshes`).
 """
@@ -22,7 +22,7 @@ TOUCH = 1e-9
 
 
 class Reason(IntEnum):
-    """Why a station does not see a target: the first of these that holds."""
+    """Reason that a station does not see a target: the first that applies."""
 
     VISIBLE = 0
     STATION_INSIDE = 1
@@ -92,7 +92,7 @@ class Visibility:
         return [[self._why(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
 
     def kinds(self) -> list[list[str]]:
-        """As `words`, without the numbers of the pair."""
+        """Reasons without the numbers of the pair, in the form of `words`."""
         return [[WORDS[code] for code in line] for line in self.reason.tolist()]
 
     def _why(self, station: int, target: int) -> str:
@@ -116,7 +116,7 @@ class Visibility:
         return f"{WORDS[code]} ({number}: instrument.limits.{key})" if key else WORDS[code]
 
     def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
-        """One sentence for every pair that does not see each other."""
+        """Sentences on the pairs that do not see each other, one per pair."""
         return [
             f"{stations[s]} does not see {targets[t]}: {self._why(s, t)}"
             for s, t in np.argwhere(~self.visible).tolist()

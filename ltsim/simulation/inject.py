@@ -31,7 +31,7 @@ LARGEST = 30.0
 
 @dataclass(frozen=True, repr=False)
 class Injected(Result):
-    """One cause with the values (q,) [SI] of its parameters, as it was put into a recording."""
+    """Effect with the values (q,) [SI] of its parameters, as injected into a recording."""
 
     cause: Tunable
     words: str

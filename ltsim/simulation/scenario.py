@@ -46,7 +46,7 @@ SPELLED_OUT = (
 )  # fmt: skip
 """Keys that a scenario's file holds with all their defaults."""
 NONE = "none"
-"""As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
+"""Value that removes a key of the scenario: ``gauge = "none"``."""
 
 
 class Scenario(TomlSection, Result):
@@ -250,7 +250,7 @@ def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[st
 
 
 def _spread(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
-    """So many targets in the file's order: each next one is that farthest from those taken (Gonzalez 1985)."""
+    """Subset of `count` targets in the file's order, each farthest from those before it (Gonzalez 1985)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
     taken = set(spread_order(places)[:count])
     return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}

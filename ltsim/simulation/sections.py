@@ -317,7 +317,7 @@ class Length(LengthUse):
 
 
 class PlannedStation(TomlSection):
-    """One set-up of an instrument: the middle of its head, and how it is turned."""
+    """Planned set-up of an instrument: centre and orientation of its head."""
 
     position_mm: Vector
     """Planned place of the head."""
@@ -339,7 +339,7 @@ class PlannedStation(TomlSection):
 
 
 class PlannedTarget(TomlSection):
-    """One reflector position. Without `nest_normal` a fixed nest is aimed at the middle of the stations."""
+    """Reflector position. Without `nest_normal` a fixed nest points to the centre of the stations."""
 
     position_mm: Vector
     """Planned place."""

@@ -65,7 +65,7 @@ class Truth(Result):
     units: Mapping[str, str]
     """Display unit of each parameter."""
     effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
-    """Everything beyond the instrument's parameters."""
+    """Applied effects, in addition to the instrument's parameters."""
     noise_factor: float = 1.0
     """Ratio of the drawn noise to the declared noise, of an instrument without a name."""
     trackers: tuple[TrackerTruth, ...] = ()
@@ -150,7 +150,7 @@ class _Number(TomlSection):
     """A parameter."""
 
     name: str
-    """Its name."""
+    """Name of the effect."""
     value: Finite
     """True value."""
     unit: str
@@ -182,7 +182,7 @@ class _TruePoint(TomlSection):
     """A point."""
 
     name: str
-    """Its name."""
+    """Name of the effect."""
     position_mm: Vector
     """True position in the workshop's frame."""
 

@@ -102,7 +102,7 @@ class Body:
 
     @property
     def words(self) -> str:
-        """Its name, what its file was taken for, its size and its place."""
+        """Text on a body: name, interpretation of its file, size and place."""
         read = f" ({self.cad.file.name}, {self.cad.read_as})" if self.cad else ""
         return f"{self.name or 'obstacle'}{read}: {extent(self.triangles)}"
 
@@ -159,7 +159,7 @@ def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
 
 
 def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibility:
-    """Who sees whom, and why not, in a scenario as planned or with another layout; each tracker within its limits."""
+    """Visibility in a scenario as planned or with another layout, with the limits of each tracker."""
     there = planned(scenario) if layout is None else layout
     obstacles = obstacles_of(scenario)
     stations_of_tracker = [[there.stations.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers]

@@ -1,4 +1,4 @@
-"""One linear least-squares step with most unknowns eliminated block by block.
+"""A linear least-squares step with most unknowns eliminated block by block.
 
 Unknowns come in two kinds: *reduced* ones (K columns) and *eliminated* ones, in blocks of three that no row shares with
 another such block. Normal equations then have a block-diagonal part that is inverted block by block, and what remains
@@ -73,7 +73,7 @@ class BlockFactor:
             raise SingularSystemError(UNDETERMINED)
 
     def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:
-        """It is made again of its system, which is smaller."""
+        """Constructor and arguments for pickling: the system, which is smaller than its factor."""
         return BlockFactor, (self._system, self._damping)
 
     def _weakest(self) -> float:

@@ -58,7 +58,7 @@ def as_dense(design: Design) -> Floats:
 
 
 def column_scale(design: Design) -> Floats:
-    """One over the norm of each column; 1 for an empty column."""
+    """Reciprocal norm of each column; 1 for an empty column."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:

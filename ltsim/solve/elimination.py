@@ -18,7 +18,7 @@ from ltsim.solve.design import column_scale, scaled, unit_diagonal
 
 
 class DenseElimination:
-    """Everything as dense matrices; design (m, K + 3 E)."""
+    """Elimination with dense matrices; design (m, K + 3 E)."""
 
     def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
         self._design, self._n_reduced = design, n_reduced

@@ -1,4 +1,4 @@
-"""One thread for linear algebra on small matrices, where more would spend their time waiting for each other."""
+"""Limit of linear algebra to one thread: on small matrices further threads only wait."""
 
 from collections.abc import Callable
 from contextvars import ContextVar

@@ -79,7 +79,7 @@ class Improvement(ValueEquality):
         return f"{before}, {after} ({self.improvement_percent:.0f} % less)"
 
     def as_json(self) -> dict[str, Any]:
-        """As in `calibration.json`."""
+        """Criterion in the form of `calibration.json`."""
         sides = {"before": self.before, "after": self.after}
         sizes = {key: {"mean_um": s.sizes[0], "max_um": s.sizes[1]} for key, s in sides.items() if s is not None}
         return sizes | ({} if self.after is None else {"improvement_percent": self.improvement_percent})
@@ -122,7 +122,7 @@ class Criteria(Result):
                 yield [name, *sides[0], *sides[1], improvement.improvement_percent]
 
     def as_json(self) -> dict[str, Any]:
-        """As in `calibration.json`."""
+        """Criteria in the form of `calibration.json`."""
         named = {"distance": self.distance, "coordinate": self.coordinate, "distance_to_first": self.distance_to_first}
         return {name: improvement.as_json() for name, improvement in named.items() if improvement is not None}
 
@@ -162,7 +162,7 @@ class CriteriaFile(ResultFile):
 
 
 def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """For each point the k observers that see it, and its distances (k, m) [m] to later points as they see them.
+    """Iterator over points: k observers of each point, and its distances (k, m) [m] to later points as they see them.
 
     `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen. Pairs that fewer than the least number of
     observers see are left out: memory follows what is seen, not all pairs.
@@ -175,7 +175,7 @@ def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Flo
 
 
 def distance_differences(clouds: Floats) -> Differences:
-    """Per pair of targets, the mean over stations of |distance - its mean over stations| (section 3.2.1).
+    """Mean over stations of |distance - its mean over stations| for each pair of targets (section 3.2.1).
 
     `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN where not seen. Pairs seen by one station
     are left out.
@@ -186,14 +186,14 @@ def distance_differences(clouds: Floats) -> Differences:
 
 
 def distance_differences_to_first(clouds: Floats) -> Differences:
-    """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
+    """Mean over the other stations of |distance from station 1 - from them| for each pair of targets (eq. 11)."""
     lengths = (length for _, length in lengths_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
     means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
     return Differences(np.concatenate([np.zeros(0), *means]))
 
 
 def coordinate_differences(placed: Floats) -> Differences:
-    """Per target, the mean over pairs of stations of the distance between its two places (eq. 12).
+    """Mean over pairs of stations of the distance between the two positions of each target (eq. 12).
 
     `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN where not seen.
     """
@@ -275,12 +275,12 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
-    """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
+    """Mean over stations of |distance - nominal distance| for each pair of targets (eq. 13, as meant)."""
     return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
 
 
 def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
-    """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
+    """Mean over stations of the distance to the nominal point after a rigid fit, for each target (eq. 14)."""
     gap = np.linalg.norm([on_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
     return Differences(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 

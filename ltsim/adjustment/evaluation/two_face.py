@@ -43,7 +43,7 @@ class TwoFace:
         return np.median(np.abs(self.half), axis=0)
 
     def only(self, pairs: Bools) -> Self:
-        """Some of the pairs, (m,) bool."""
+        """Subset of the pairs, (m,) bool."""
         return replace(self, rows=self.rows[pairs], place=self.place[pairs], half=self.half[pairs])
 
 

@@ -58,7 +58,7 @@ MIN_TARGET_DOF = 6.0
 
 @dataclass(frozen=True)
 class SetUp(ValueEquality):
-    """One set-up: its items, its two-face differences (None without pairs) and its model (None where nothing repeats).
+    """Tests of a set-up: items, two-face differences (None without pairs) and model (None where nothing repeats).
 
     `rows` are the rows of the whole recording, from 1.
     """

@@ -19,7 +19,7 @@ CAUSES = ("cause", "mistake", "bump", "drift")
 
 
 class Item(Entry):
-    """One thing that was tested."""
+    """A test of the field check, with its outcome."""
 
     station: str
     """Empty for what concerns all stations."""
@@ -28,7 +28,7 @@ class Item(Entry):
     passed: bool
     """True where the item is no reason against going on."""
     sentence: str
-    """For a person, with units."""
+    """Text for a person, with units."""
     p_value: OptionalFloat = None
     """Chance of as much by noise, paid for all that was looked at."""
     targets: tuple[str, ...] = ()

@@ -78,7 +78,7 @@ def items_of_network(
     *,
     with_target_noise: bool,
 ) -> tuple[Item, ...]:
-    """Whether the stations agree, the instrument's errors estimated; nothing where they cannot be compared.
+    """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
 
     `plain` is the network of `adjust`, with the declared noise even if the recording is one `with_target_noise`;
     `motions` of stations were estimated from their single set-ups.
@@ -137,7 +137,7 @@ def items_of_network(
 
 
 def _at_work(without: Adjustment, fitted: Adjustment) -> bool:
-    """Whether the instrument's errors explain more of the network `without` them than noise as large as found does."""
+    """True if the instrument's errors explain more of the network `without` them than an estimated noise factor."""
     count = fitted.problem.unknowns.instrument.size
     ratio = (without.chi2 - fitted.chi2) / count / max(fitted.chi2 / fitted.dof, 1e-30)
     return bool(special.fdtrc(count, fitted.dof, max(ratio, 0.0)) < EXPLAINED)

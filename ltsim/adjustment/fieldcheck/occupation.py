@@ -1,4 +1,4 @@
-"""One set-up by itself: what its repeated pointings say once targets and the instrument's errors are fitted.
+"""Model of a single set-up: repeated pointings after a fit of targets and the instrument's errors.
 
 Every target measured twice, on the other face or again later, leaves redundancy that needs no second station. The
 linear model has three coordinates a target and the instrument's parameters; a suspect (a bump, a drift, one gross
@@ -230,9 +230,9 @@ class Faces:
     """Two-face half differences of one set-up."""
 
     pairs: TwoFace
-    """As read."""
+    """Two-face pairs, uncorrected."""
     still: TwoFace
-    """Without what a motion of the station, or a drift of the instrument, adds between the faces."""
+    """Two-face pairs without the contribution of a moving station or a drifting instrument."""
     noise: Floats
     """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
     over: Bools

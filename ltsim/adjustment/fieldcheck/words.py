@@ -80,7 +80,7 @@ def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -
 
 
 def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], fit: ColumnsFit) -> str:
-    """When a station moved at once, and by how much."""
+    """Sentence on a sudden motion of a station: time and size."""
     when = f"between {moment(recording, between[0])} and {moment(recording, between[1])}"
     return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion(fit)}"
 

@@ -115,7 +115,7 @@ class Fit:
 
     @property
     def _is_determined(self) -> bool:
-        """Whether each shift is told by the readings: one that a place of its own may as well be has no size."""
+        """True if the readings determine each shift; one that is equivalent to other coordinates has no size."""
         return all(self.length(h) > DETERMINED for h, _, _ in self.shifts)
 
     @property

@@ -68,7 +68,7 @@ Change = Shift | Omission | Correction | NoiseFactor
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One simple cause.
+    """A simple cause of disagreement between readings and model.
 
     Attributes
     ----------
@@ -102,6 +102,6 @@ class Hypothesis:
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes(self, other: Hypothesis) -> bool:
-        """Whether both may explain the same readings: at one station or target, or one of them anywhere."""
+        """True if both may explain the same readings: same station or target, or one of them acts everywhere."""
         places = [(*h.stations, *h.targets) for h in (self, other)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -39,7 +39,7 @@ Place = Literal["station", "target"]
 
 @dataclass(frozen=True)
 class Family:
-    """One kind of shift at every station or target.
+    """A kind of shift at every station or target.
 
     Attributes
     ----------

@@ -88,7 +88,7 @@ class Selection:
 
     @property
     def leads(self) -> bool:
-        """Whether a network is to be adjusted with what was chosen in its model from the start: that makes it agree.
+        """True if the network must be adjusted with the selected hypotheses from the start, because they make it agree.
 
         With an error that all readings of a set-up or a target share, or a reference value that is far off, nothing
         else of a network can be judged. Single motions and reference values are left to their own tests.
@@ -103,7 +103,7 @@ class Selection:
 
     @property
     def explains(self) -> bool:
-        """Whether the network agrees with what was chosen, each choice beyond doubt: then nothing else is wrong.
+        """True if the network agrees with the selected hypotheses and none of these is in doubt.
 
         A set-up in another unit or sense is no such choice, for its rows are to be read anew; nor is noise that is
         less than declared, for what it makes outliers of may be none; nor more noise where outliers remain. Reference
@@ -150,13 +150,13 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
 
 
 def _misfit(fit: Fit) -> bool:
-    """Whether all readings scatter more than declared: then what is left may be the misfit of the model, not noise."""
+    """True if all readings scatter more than declared, so that residuals may come from a misfit of the model."""
     general = (h.change for h in fit.hypotheses if not h.stations and not h.targets)
     return any(isinstance(change, NoiseFactor) and change.guess > 1.0 for change in general)
 
 
 def _agrees(fit: Fit) -> bool:
-    """Whether a large network, or one of computed readings, agrees as a whole: looking at each place would cost more.
+    """True if a large network, or one of computed readings, agrees as a whole, so that no place is searched.
 
     In a network of `LARGE` pointings what one place hides is small for all others.
     """

@@ -37,20 +37,20 @@ class Alternative(Entry):
     kind: str
     """Kind of the hypothesis, as `kind` of a test."""
     where: Place
-    """Its place."""
+    """Stations or targets at which it acts."""
     probability: Finite
     """Posterior probability."""
 
 
 class Test(Entry):
-    """One hypothesis, tested in the network with all that was accepted."""
+    """Test of a hypothesis in the network with all accepted hypotheses."""
 
     kind: str
     """`outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump`, `reference-value` and so on."""
     acts_on: str
     """Observable, `position`, a kind of reference value, or `noise`."""
     where: Place
-    """Its place."""
+    """Stations or targets at which it acts."""
     statistic: Finite
     """Fall of chi-square; twice the log likelihood ratio for noise and mistakes."""
     dof: int
@@ -60,7 +60,7 @@ class Test(Entry):
     estimate: OptionalFloat = None
     """Size."""
     sigma: OptionalFloat = None
-    """Its standard deviation."""
+    """Standard deviation of `size`."""
     unit: str = ""
     """Unit of the estimate and of its standard deviation."""
     rows: tuple[int, ...] = ()
@@ -70,9 +70,9 @@ class Test(Entry):
     alternatives: tuple[Alternative, ...] = ()
     """Alternative hypotheses fitted in its place, those with a posterior probability above 1 %."""
     accepted: bool = True
-    """Whether the result has it in its model."""
+    """True if the hypothesis is part of the model of the result."""
     sentence: str = ""
-    """For a person."""
+    """Text for a person."""
 
 
 MOST_OUTLIERS = 20
@@ -88,7 +88,7 @@ USUAL_SIZES = {
 }
 """[m] Sizes of an offset that have a usual cause: differences of the radii of SMRs, constants of prisms."""
 NEAR = 60e-6
-"""[m] How near such a size an offset must be, where its own uncertainty is less."""
+"""[m] Tolerance between an offset and a nominal size, where the uncertainty of the offset is smaller."""
 
 
 def outcomes(selection: Selection) -> tuple[Test, ...]:
@@ -156,7 +156,7 @@ def _size(h: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
 
 
 def _missed(fit: Fit, h: Hypothesis) -> tuple[float, str, float]:
-    """By how much an omitted reference value misses the network [SI], and its unit."""
+    """Misclosure of an excluded reference value [SI], and the name and size of its display unit."""
     assert isinstance(h.change, Omission)
     size = float(np.linalg.norm(fit.gap_of(h.change.value)))
     angular = h.change.value.kind in ("level", "yaw")

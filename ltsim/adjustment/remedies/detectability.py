@@ -68,7 +68,7 @@ class MinimalSize:
 
 
 def thinned(places: Sequence[P]) -> list[P]:
-    """At most `MOST_PLACES` of the places, evenly spread."""
+    """Selection of at most `MOST_PLACES` places, evenly spread."""
     if len(places) <= MOST_PLACES:
         return list(places)
     return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MOST_PLACES).round().astype(int))]
@@ -76,7 +76,7 @@ def thinned(places: Sequence[P]) -> list[P]:
 
 @dataclass(frozen=True)
 class EffectDetectability:
-    """One effect in a layout: its places and what is left of each."""
+    """Detectability of an effect in a layout: its places, and the projected signature at each."""
 
     name: str
     parameters: tuple[tuple[Parameter, ...], ...]
@@ -89,7 +89,7 @@ class EffectDetectability:
     """(m, r): orthonormal, spanning what is left; empty for noise, and where a diagnosis keeps none."""
 
     def table(self) -> list[MinimalSize]:
-        """One row a parameter."""
+        """Minimal detectable sizes, one per parameter."""
         rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
@@ -233,7 +233,7 @@ class Detectability:
     """(e, e): row effect explained by column effect, 0 to 1, for those with a signature (`names`)."""
 
     def table(self) -> list[MinimalSize]:
-        """One row a parameter of every effect."""
+        """Minimal detectable sizes, one per parameter of every effect."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
     def confusable(self) -> list[tuple[str, str, float]]:

@@ -34,7 +34,7 @@ class Network:
     recording: Recording
     state: State
     construction: Construction
-    """Whose parameters are estimated."""
+    """Construction of the instrument whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of these parameters; by default the one that the set-up declares."""
 
@@ -64,7 +64,7 @@ class Network:
 
     @property
     def seconds_per_pointing(self) -> float:
-        """[s] usual time between pointings."""
+        """[s] Usual time between pointings."""
         recording = self.recording
         if not recording.has_clock or len(recording) < 2:
             return SECONDS

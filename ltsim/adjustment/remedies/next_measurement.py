@@ -44,14 +44,14 @@ DECISIVE = 10.0
 FINALISTS = 24
 """Further places whose evidence is computed in full: those that tell most about the instrument."""
 MOVE = 1200.0
-"""[s] to carry the instrument to another place and set it up, where nothing else is said."""
+"""[s] Default time to carry the instrument to another place and set it up."""
 
 Progress = Callable[[str, float], None]
 """Told what is being done and which share of it is done."""
 
 
 def quiet(*_arguments: object) -> None:
-    """Nobody is told."""
+    """Progress callback that does nothing."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Rivals:
 
     @classmethod
     def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
-        """As a recording leaves them."""
+        """Rival explanations in the residual space of a recording."""
         return cls(
             first,
             second,
@@ -191,7 +191,7 @@ class NextMeasurement(Result):
     between: tuple[str, ...] = ()
     """The explanations to decide between; none where the instrument was asked about."""
     evidence_now: dict[str, float] = field(default_factory=dict)
-    """Between the first and each other in the recording as it is."""
+    """Log evidence between the first and each other explanation in the recording without further pointings."""
 
     @property
     def advice(self) -> str:

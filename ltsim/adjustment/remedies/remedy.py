@@ -41,13 +41,13 @@ GRID, TURNS = 5, 4
 CROWDED = 30
 """Set-ups from which a further place for one more is not looked for: it is one among many."""
 CLEARANCE = 0.8
-"""[m] how near to another station, and to a target, a further one is not put; nor is a nearer target asked for."""
+"""[m] Smallest distance of a proposed station from other stations and targets, and of a proposed target."""
 BAR_LENGTH, BAR_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
-"""[m] a length that a workshop can have calibrated, how well, and the time it takes [s]."""
+"""[m, mm, s] Length that a workshop can have calibrated, its standard deviation, and the time that it takes."""
 NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
 """Range [m], azimuth, elevation [rad] of near reflectors."""
 NEST = 300.0
-"""[s] to mount a nest."""
+"""[s] Time to mount a nest."""
 ADVICE = {
     # from the last station, before it is left
     "other face here": "measure all targets from {station} in the other face as well",
@@ -101,11 +101,11 @@ class Remedy:
     seconds: float
     """[s]."""
     network: Network
-    """With it, as the adjusted network predicts it."""
+    """Network with the proposed measurement, as the adjusted network predicts it."""
 
     @property
     def is_determined(self) -> bool:
-        """Whether every pose is determined with it: a further set-up may see too little."""
+        """True if every pose is determined with the proposed measurement; a further set-up may see too few targets."""
         try:
             _ = self.network.adjustment
         except NetworkError:
@@ -121,7 +121,7 @@ class Remedy:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """From the network's frame to the floor plan's; the identity where no plan is known.
+    """Transformation from the frame of the network to the floor plan's; the identity without a plan.
 
     Plans are rough, levels are not: only a turn about the vertical is taken from the plan.
     """
@@ -133,12 +133,12 @@ class FloorPlan:
 
     @classmethod
     def of(cls, recording: Recording, state: State) -> FloorPlan:
-        """By the stations of an adjusted network."""
+        """Floor plan from the stations of an adjusted network."""
         return cls.by(recording.setup, recording.stations, state.position, state.rotation)
 
     @classmethod
     def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
-        """By the stations whose places, or directions of zero too, a set-up states."""
+        """Floor plan from the positions, or also directions of zero, of stations in a set-up."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
         placed = [i for i, station in setups.items() if station.position_mm is not None]
         if not placed:

@@ -89,7 +89,7 @@ def simple_rotation(vectors: Floats, steps: int = 200) -> Floats:
 def determining(
     adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[Direction]]
 ) -> list[list[str]]:
-    """For each instrument's undetermined directions a sentence: what would determine them.
+    """Sentences per instrument: for each undetermined direction, the measurement that determines it.
 
     The first remedy that lifts a gain above one half is named, else the one that lifts it most. `construction` is the
     one whose parameters are meant; `directions` has one sequence an instrument.

@@ -189,7 +189,7 @@ def _loaded(point: EntryPoint) -> Listed:
 
 
 def fault_of(kind: object) -> str:
-    """Why a class cannot be an effect; empty for none."""
+    """Reason for which a class is no valid effect; empty for a valid one."""
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
         return "it is no class derived from lt.Effect"
     if lacking := sorted(getattr(kind, "__abstractmethods__", ())):

@@ -9,7 +9,7 @@ from ltsim.scene.sightings import Sightings
 
 COLUMN = "air_temperature_c"
 STEADY = 0.05
-"""[K] span of temperature below which nothing can be learnt."""
+"""[K] Smallest span of temperature from which the effect is estimable."""
 
 
 class DeadPath(Effect):
@@ -34,7 +34,7 @@ class DeadPath(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """One, where the temperature varies."""
+        """A single candidate, if the temperature varies."""
         temperature = sightings.covariates.get(COLUMN)
         varies = (
             temperature is not None

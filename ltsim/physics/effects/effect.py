@@ -112,7 +112,7 @@ class Mistake(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """None: `possible` lists the mistakes."""
+        """No candidates: `possible` lists the mistakes."""
         return []
 
     @classmethod

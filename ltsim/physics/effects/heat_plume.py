@@ -10,11 +10,11 @@ from ltsim.scene.sightings import Sightings
 
 RING = 8
 LEVELS = (-0.6, 0.0, 0.6)
-"""[rad] elevations of the directions that are tried, besides the poles."""
+"""[rad] Elevations of the candidate directions, in addition to the poles."""
 REACH = 0.5
-"""[m] from a station to the centres that are tried."""
+"""[m] Distance of candidate centres from a station."""
 MOVES = (0.2, 0.08)
-"""[m] steps by which a centre is refined."""
+"""[m] Steps of the refinement of a centre."""
 NEAR_STATION, NEAR_TARGET = 0.25, 0.5
 MOST_PLACES = 40
 """Stations, or targets, beyond which single plumes are not tried."""

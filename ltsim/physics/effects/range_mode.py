@@ -31,7 +31,7 @@ class RangeMode(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """One, where both modes were used."""
+        """A single candidate, if both modes were used."""
         return [cls()] if MODE_COLUMN in sightings.covariates else []
 
     def design(self, sightings: Sightings) -> Floats:

@@ -23,7 +23,7 @@ from ltsim.scene.sightings import Sightings
 AirField = Callable[[Floats], tuple[Floats, Floats]]
 
 REFERENCE = 20.0
-"""[C] at the weather sensor; beta changes by 0.5 % a kelvin."""
+"""[C] Reference temperature at the weather sensor; beta changes by 0.5 % per kelvin."""
 STEPS = 64
 NODES, WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
 

@@ -24,18 +24,18 @@ PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect."""
+    """Parameter of an effect."""
 
     name: str
     unit: str
     """The unit a person reads it in, a key of `units.FACTOR`; values are SI."""
     meaning: str
     prior_sigma: float
-    """One standard deviation [SI] where the set-up gives none; also the scale of a plausible size."""
+    """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
     """Kind of the maker's guarantee that gives its prior; None: `prior_sigma` alone."""
     positive: bool = False
-    """Never negative: a thickness."""
+    """True if never negative: a thickness."""
 
     def sigma_from(self, prior: Prior) -> float:
         """Prior standard deviation [SI] under a maker's guarantee."""
@@ -108,7 +108,7 @@ class Signature(Protocol):
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its p parameters; `prior_sigma` is a bad but plausible size of each."""
+        """Parameters (p) of the effect; `prior_sigma` is the size of a large but plausible effect."""
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:

@@ -56,7 +56,7 @@ class SmrCentring(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """One reflector for all, and each target its own."""
+        """A common reflector for all targets, and a separate one for each target."""
         return [cls(), *(cls((), (name,)) for name in sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

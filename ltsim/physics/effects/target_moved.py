@@ -56,7 +56,7 @@ class TargetMoved(TargetMotion):
         return candidates
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """For a step the gaps between pointings around this one, inside the stations' visits too."""
+        """Times of a step: gaps between pointings around this one, including gaps within the visits of a station."""
         times = sightings.time[self.mask(sightings) > 0]
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)] if self.kind == "step" else []
 

@@ -13,7 +13,7 @@ INDEX = 1.5
 SHARES = (0.25, 0.12)
 """Lengths of the runs that are tried, as shares of a station's targets."""
 TURNS = (-0.15, -0.05, 0.05, 0.15)
-"""[rad] by which a pane is turned in refinement."""
+"""[rad] Rotations of a pane in the refinement."""
 
 
 def _around(sightings: Sightings, station: str) -> list[int]:
@@ -50,7 +50,7 @@ class Window(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """At every station an upright pane across runs of neighbouring targets, in the order of their azimuths."""
+        """Upright panes at every station, across runs of neighbouring targets in the order of their azimuths."""
         candidates = []
         for station in sightings.station_names:
             order = _around(sightings, station)
@@ -72,7 +72,7 @@ class Window(TargetMotion):
         return [cls((station,), tuple(sightings.target_names[t] for t in sorted(block)), (x, y, 0.0))]
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """One target more or less at either end of the run; the pane turned a little."""
+        """Neighbours: a target more or less at either end of the run; the pane turned a little."""
         order = _around(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]

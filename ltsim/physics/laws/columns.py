@@ -107,7 +107,7 @@ def function(sightings: Sightings, name: str, how: str, constant: float) -> Floa
 
 
 def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
-    """One and the coordinates from the middle of some targets, or of all (n, 4); `bent`, their products too (n, 10)."""
+    """Constant and coordinates from the centre of some targets, or of all (n, 4); `bent` adds products (n, 10)."""
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
     ids = [i for name in around for i in sightings.target_ids[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
@@ -139,5 +139,5 @@ def group_means(columns: Floats, groups: Ints) -> Floats:
 
 
 def indicator_columns(what: Ints, ids: Ints | Sequence[int]) -> Floats:
-    """One where something (n,) has one of the ids (k,), (n, k)."""
+    """Indicators (n, k): 1 where something (n,) has the id (k,)."""
     return (what[:, None] == np.asarray(ids)).astype(np.float64)

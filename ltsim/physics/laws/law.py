@@ -71,7 +71,7 @@ class Law(Tunable):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient a component of the carrier, set-up, and column of the driver, with its prior deviation."""
+        """Coefficients, one per component of the response, set-up and column of the regressor, with priors."""
         spread = self.driver.spreads[self.scale] * self.carrier.size
         spreads = np.tile(spread, len(self.carrier.ways) * (len(self.stations) if self.each else 1))
         return tuple(

@@ -25,7 +25,7 @@ OPERATORS = ("last", "move", "work")
 """The value before, the change since then, the sum of the changes' sizes."""
 PRECEDING = ("wound-azimuth", "lapse", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
 FOLLOWED = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
-"""Everything that a reading can follow beside columns of the recording."""
+"""Covariates of readings, in addition to columns of the recording."""
 _HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in PRECEDING if not n.endswith("distance")))
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),

@@ -30,7 +30,7 @@ ANGLE, LENGTH, STRAIN, MOTION = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM, 30 * MI
 
 @dataclass(frozen=True)
 class ResponseTerm:
-    """One quantity of the forward model.
+    """Quantity of the forward model that an effect may change.
 
     Attributes
     ----------

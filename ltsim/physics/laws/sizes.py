@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class Size(NamedTuple):
-    """One number that is reported of a law, in the unit a person reads."""
+    """Reported size of a law, in its display unit."""
 
     name: str
     value: float

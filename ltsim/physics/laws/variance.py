@@ -44,7 +44,7 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One size; one for each of the owners where each has its own noise."""
+        """Sizes: one, or one per group if the noise differs by group."""
         kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.owners for kind in kinds]
         return tuple(

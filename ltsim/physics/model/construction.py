@@ -30,7 +30,7 @@ from ltsim.recordings.recording import Recording
 NEWTON_STEPS = 12
 CLOSED = 1e-14
 NEARLY = 1e-11
-"""[m, rad] gap that a last step with the exact derivative closes to rounding."""
+"""[m, rad] Residual from which a last step with the exact derivative converges to rounding."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Construction:
     chain: Chain
     parameters: tuple[Parameter, ...]
     terms: tuple[Term, ...]
-    """One a parameter: slot and basis."""
+    """Terms, one per parameter: slot and basis."""
 
     @property
     def size(self) -> int:

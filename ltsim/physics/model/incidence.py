@@ -44,7 +44,7 @@ class IncidenceErrors(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One an error, of one standard deviation."""
+        """Errors, one per unknown, each with a prior of one standard deviation."""
         return (Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),) * self.root.shape[1]
 
     def _by_law(self, sightings: Sightings) -> Floats:

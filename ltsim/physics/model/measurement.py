@@ -24,7 +24,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class State:
-    """Everything an adjustment can change; SI, network frame."""
+    """State of a network: all quantities that an adjustment can change; SI, network frame."""
 
     position: Floats
     """(S, 3)."""
@@ -318,7 +318,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 
 
 def _by_positions(places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
-    """By the rough places of three or more stations; upright instruments know the vertical far better than these."""
+    """Rotation from approximate coordinates of three or more stations; levels determine the vertical far better."""
     given = [i for i, p in enumerate(places) if p is not None]
     if len(given) < PLACES:
         return None

@@ -29,7 +29,7 @@ class HeadHeights(Signature):
     """Heights of instrument and reflector over their marks, less the declared ones, one for each of q occupations."""
 
     sigma: float
-    """[m] of each."""
+    """[m] Standard deviation of each error."""
     lift: Floats
     """(n, q): 1 for pointings to an occupation, -1 for those from it."""
     up: Floats
@@ -42,7 +42,7 @@ class HeadHeights(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One an occupation; `prior_sigma` is what is stated."""
+        """Centring errors, one per occupation; `prior_sigma` is the declared standard deviation."""
         return (Parameter("head-height", "mm", "height of a head", self.sigma),) * self.lift.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
@@ -89,7 +89,7 @@ class SharedErrors(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One an error, of one standard deviation."""
+        """Errors, one per unknown, each with a prior of one standard deviation."""
         return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reach.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:

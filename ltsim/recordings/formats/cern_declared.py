@@ -47,7 +47,7 @@ class Words:
         return [self.where.number(word, column, limit=limit) for word, column in words]
 
     def options(self, start: int) -> Options:
-        """From place `start` on: flags, and names with one value each."""
+        """Options from place `start` on: flags, and names with a value each."""
         values: dict[str, str] = {}
         rest = iter(self.tokens[start:])
         for word in map(str.upper, rest):

@@ -178,7 +178,7 @@ def _read_coordinates(node: Node, network: GamaNetwork) -> None:
 
 
 def _read_obs(block: Node, network: GamaNetwork) -> None:
-    """One block of observations from a point, or with ``from`` at every observation."""
+    """Read a block of observations from a point, or with ``from`` at every observation."""
     inner = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariances(block)
     if len(numbers) and row[-1] + 1 != len(inner):

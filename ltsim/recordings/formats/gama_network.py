@@ -175,7 +175,7 @@ def _sigma(child: Node, apriori: float) -> float:
 
 
 def _difference(child: Node, y_sign: float, spread: Floats) -> ReferenceDifference:
-    """One element with its covariance (1, 1) or (3, 3) [mm^2]."""
+    """Reference difference of an element with its covariance (1, 1) or (3, 3) [mm^2]."""
     ends = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
     if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):

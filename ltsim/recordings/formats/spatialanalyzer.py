@@ -41,7 +41,7 @@ _HEADING = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.M
 
 @dataclass
 class _Block:
-    """One set-up: its heading, pose in the units printed, announced count and rows with the heading first."""
+    """Block of a set-up: heading, pose in the units printed, announced count and rows with the heading first."""
 
     collection: str
     number: str

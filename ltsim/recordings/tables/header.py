@@ -96,7 +96,7 @@ _VALUE = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column: its place, header, role ('' for none), unit ('' where it states none) and face (0: any)."""
+    """Column of a table: place, header, role ('' for none), unit ('' where none is given) and face (0: any)."""
 
     place: int
     title: str

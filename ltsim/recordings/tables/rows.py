@@ -63,7 +63,7 @@ class RunReader:
     def _of_face(
         self, face: int, rows: Sequence[Row], table: Sequence[Sequence[str]], stations: Sequence[str]
     ) -> PrintedPointings:
-        """One pointing a row: the columns of one face (0: of the only one) and those of both."""
+        """Pointings, one per row: the columns of one face (0: of the only one) and those of both."""
         columns = [c for c in self.columns if c.face in (0, face)]
         text = {c.role: table[c.place] for c in reversed(columns) if c.role}
         nothing = ("",) * len(rows)

@@ -28,7 +28,7 @@ from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_
 SAME_SHARE = 3e-4
 """Share of the largest length by which rows at one place differ: 1 mm at 3 m, more than a robot repeats."""
 SAME_ANGLE, SAME_RADIAN = 0.02, SAME_SHARE
-"""[deg or gon, rad] By which directions to one place differ."""
+"""[deg or gon, rad] Tolerance between directions to the same place."""
 RADIANS = 7.0
 LEAST_ROWS = 3
 
@@ -90,7 +90,7 @@ LEAST_LINES = 4
 CLEARLY = 0.5
 """Lines seen to and fro close without the heights within this share of their misses with them."""
 TURNED = 1e-3
-"""[rad] By which a round's directions differ from another's where the circle was turned between them."""
+"""[rad] Smallest difference between the directions of two rounds that shows a turned circle."""
 BEYOND_NOISE = 6.0
 """Standard deviations that say the same where the noise of the directions is stated."""
 CLOSES_M = 0.02

@@ -1,4 +1,4 @@
-"""From a file to rows of text: encoding, separator, quotes, comments, sheets of a workbook."""
+"""Rows of text of a file: encoding, separator, quotes, comments, sheets of a workbook."""
 
 from __future__ import annotations
 

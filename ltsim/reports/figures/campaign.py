@@ -238,7 +238,7 @@ MOST_SETTINGS = 40
 
 @style.styled
 def by_setting(rows: Sequence[SweepPoint], *, label: str, published: float | None = None) -> Figure:
-    """One row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
+    """Figure with a row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
