@@ -18,11 +18,13 @@ from ltsim.core.probability import P_CONSTANT
 PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": P_CONSTANT}
 """Prior probability of each kind of unmodelled cause, given that there is one."""
 ABOUT = {
-    "named": "an effect of the catalogue that shifts readings, all effects alike",
-    "law": "a carrier that follows a driver, without a card",
-    "noise": "a change of the noise that the catalogue names",
-    "scatter": "noise that no card describes",
-    "constant": "a constant of an instrument that is not what the others, its history or a stated correction say",
+    "named": "an effect of the catalogue that shifts readings",
+    "law": "an empirical law outside the catalogue",
+    "noise": "a change of the noise of the catalogue",
+    "scatter": "another variance function of the noise",
+    "constant": (
+        "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
+    ),
 }
 """The same in words."""
 P_UNMODELLED = 0.2
@@ -30,12 +32,12 @@ P_UNMODELLED = 0.2
 SAME_OBSERVABLE = 0.5
 """Chance that such a cause acts on the observable of what it looks like."""
 P_CAP_TESTS = 1.0 - P_UNMODELLED * SAME_OBSERVABLE
-"""Most that is stated of what is told without a likelihood of such a cause: it may shift readings, and look like it."""
+"""Upper limit on the probability reported for findings that have no likelihood term for an unmodelled cause."""
 P_UNMODELLED_LOOKS_LIKE_NOISE = 0.25
 """Chance that a shift that nobody listed looks like noise, and not like a shift in one of the three observables."""
 _NOISE = PRIOR["noise"] + PRIOR["scatter"]
 P_CAP_NOISE = _NOISE / (_NOISE + P_UNMODELLED_LOOKS_LIKE_NOISE * P_UNMODELLED * (PRIOR["named"] + PRIOR["law"]))
-"""Most that is stated of noise that is more than stated: what nobody listed may shift readings, and look like it."""
+"""Upper limit on the probability reported for excess noise; an unmodelled shift can look like noise."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place at which a law outside the catalogue acts."""
 KINDS = {
