@@ -15,9 +15,9 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.errors import RecordError
 from ltsim.diagnosis.averaging import averaged_targets
-from ltsim.diagnosis.detect import detect
+from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.detectability import DetectabilityReport, detectability_report
-from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.diagnosis import Diagnosis, Targets
 from ltsim.diagnosis.evidence import restricted
 from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.findings_from_tests import instrument_finding
@@ -26,7 +26,7 @@ from ltsim.diagnosis.hypotheses import Model, likeliest
 from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.null_ensemble import TRIALS
-from ltsim.diagnosis.preprocessing import adapted
+from ltsim.diagnosis.preprocessing import adapted, agreeing
 from ltsim.diagnosis.schema import Finding, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
@@ -100,12 +100,22 @@ def diagnose(
         use = baseline.problem.use
     else:
         baseline, use, mistaken = adapted(recording, construction, selection)
-    trials = max(TRIALS, ceil(1.0 / level))
-    case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-    detectability, detection = detectability_report(case.space, case.searcher.cards), detect(case.searcher, case.bank)
+
+    def searched() -> tuple[SelectionState, DetectabilityReport, Detection, Model, Refit]:
+        """State, detectability, detection, model and refit of the present baseline."""
+        trials = max(TRIALS, ceil(1.0 / level))
+        case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
+        report, detection = detectability_report(case.space, case.searcher.cards), detect(case.searcher, case.bank)
+        model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
+        return case, report, detection, *_refitted(case, model)
+
+    case, detectability, detection, model, fitted = searched()
+    if selection is not None and model.members:
+        restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
+        if restored.any():  # the effects of the model explain them
+            baseline, use, mistaken = adapted(recording, construction, selection, restored=restored)
+            case, detectability, detection, model, fitted = searched()
     mismatch = detection.p_value < level
-    model = _select_model(case, LEAST_GAIN, compared) if mismatch else case.empty
-    model, fitted = _refitted(case, model)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
     odd = [instrument_finding(c) for c in contradicting if not _varies(c.parameter.name, model.effects)][:MOST_MEMBERS]
@@ -308,11 +318,19 @@ def _report(
         undetectable=undetectable,
         detectable=detectable,
         instruments=instrument_entries(settled),
-        targets=averaged_targets(case.searcher, model, explained.rankings, explained.refit),
+        targets=_targets(explained, shifts, noises),
         baseline=baseline,
         adjusted=adjusted,
         tests=() if selection is None else outcomes(selection),
     )
+
+
+def _targets(explained: Explained, shifts: Sequence[Finding], noises: Sequence[Finding]) -> Targets:
+    """Targets averaged over explanations; those of the calibration if no cause is more probable than not."""
+    case = explained.case
+    if not any(finding.evidence.chance >= LIKELY for finding in (*shifts, *noises)):
+        return averaged_targets(case.searcher, case.empty, (), Refit(case.baseline, (), ()))
+    return averaged_targets(case.searcher, explained.model, explained.rankings, explained.refit)
 
 
 def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut:

@@ -18,7 +18,7 @@ from ltsim.diagnosis.forms import curve_of
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
-from ltsim.diagnosis.prior import P_CAP_NOISE, P_CAP_TESTS, SAME_OBSERVABLE
+from ltsim.diagnosis.prior import SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import LIKELY, catalogue_sentence, law_sentence, outside_sentence, without_clock
@@ -29,7 +29,7 @@ from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.places import trackers_of
 from ltsim.physics.laws.regressors import words_of
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import AT_EACH_SET_UP, describe
+from ltsim.physics.laws.words import AT_EACH_SET_UP, describe, region_words
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -261,8 +261,8 @@ class Explained:
 
 def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
     """Finding of a change of the noise, in the observables where it is significant."""
-    effect, sizes = hypothesis.effect, zip(hypothesis.values, hypothesis.sigma, strict=True)
-    probability = hypothesis.probability * (P_CAP_NOISE if any(v > SURE * s for v, s in sizes) else P_CAP_TESTS)
+    effect = hypothesis.effect
+    probability = hypothesis.probability
     where = where_of(effect, _scattering(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
     rows = [Estimate.of(*names) for names in every if np.isfinite(names[2])]
@@ -276,6 +276,12 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
             worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
+        if effect.region is not None:
+            most = f", {region_words(effect.region)}"
+            rows += [
+                Estimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
+                for axis, value in zip(effect.region.axes, effect.region.centre, strict=True)
+            ]
         sentence = outside_sentence(where, effect.law + most)
     return Finding(
         effect=effect.name,

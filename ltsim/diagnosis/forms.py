@@ -95,7 +95,7 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
     """
     driver = law.driver
-    if len(driver.covariates) != 1 or driver.kind == "amounts":
+    if len(driver.covariates) != 1 or driver.kind in ("amounts", "passage"):
         return None
     law, way, means, spread = law.along(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
@@ -108,13 +108,13 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
         at, columns = x[chosen], law.columns(sightings)[law.mask(sightings) > 0][chosen]
-    factor = law.parameters[0].factor
+    unit, factor = law.carrier.display(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean
     return Curve(
         covariate=driver.covariates[0],
-        unit=law.carrier.unit,
+        unit=unit,
         at=tuple(at.tolist()),
-        value=tuple((values / factor).tolist()),
-        sigma=tuple((sigma / factor).tolist()),
+        value=tuple((values * factor).tolist()),
+        sigma=tuple((sigma * factor).tolist()),
     )

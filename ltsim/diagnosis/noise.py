@@ -32,6 +32,7 @@ from ltsim.physics.laws.places import Place, clusters, trackers_of
 from ltsim.physics.laws.regressor_library import further
 from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction, owners_of
 from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
@@ -49,6 +50,14 @@ FINE = 48
 """Number of sizes over which the best hypotheses are averaged: steps of a tenth."""
 NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
 """Shares of all targets, or set-ups, that have more noise than declared, averaged over."""
+MIN_READINGS, MOST_READINGS = 60, 4000
+"""Numbers of readings with which a heavy tail is a hypothesis: of fewer none is seen, more cost too much."""
+MUCH_WORSE = np.array([4.0, 12.0, 36.0, 100.0])
+"""Factors on the variance of a reading in the tail that are averaged over: two to ten standard deviations."""
+_SCATTERING: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
+"""Sets of observables that may have more noise."""
+NOISY_REGIONS = ("xyz", "xy", "x", "y")
+"""Shapes of the regions of the hall in which lines of sight may have more noise."""
 MIN_GROUPS = 4
 """Noise by target, or by station, is a hypothesis if there are at least this many of them."""
 LARGEST = 400.0
@@ -83,18 +92,19 @@ def _patterns(
     """Variance functions outside the catalogue: family, function, sizes; that of an observable is the noise level."""
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
-    observables: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
     places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
-    for at, acts, name, falling in product(places, observables, [*regressors, *further(sightings)], (False, True)):
+    for at, acts, name, falling in product(places, _SCATTERING[:-1], [*regressors, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
         yield " and ".join(acts), pattern, GROWING
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
-    for acts in (*observables, OBSERVABLES):
+    for acts in _SCATTERING:
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
             yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
         for group in groups:
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
+    for region, acts in product(regions_of(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)):
+        yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -170,7 +180,21 @@ class NoiseByGroup(Amounts):
             shape = len(names) * (kinds if per_observable else 1), space.size
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
             banks.append(cls(VarianceFunction(each=each, owners=names, per_observable=per_observable), members, COARSE))
+        if MIN_READINGS <= space.size <= MOST_READINGS:
+            banks += [cls._of_readings(space, acts) for acts in _SCATTERING]
         return tuple(banks)
+
+    @classmethod
+    def _of_readings(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
+        """Noise with a heavy tail: a share of the readings of some observables has more than declared."""
+        pointing, kind = np.nonzero(space.use)
+        column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
+        places = np.flatnonzero(column >= 0)
+        rows = pointing[places] * len(acts) + column[places]
+        names, _ = owners_of(space.sightings, "reading")
+        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.size))
+        effect = VarianceFunction(acts, each="reading", owners=names, per_observable=True)
+        return cls(effect, members, MUCH_WORSE)
 
     @property
     def name(self) -> str:
@@ -370,6 +394,26 @@ def reml_gain(
     return gained
 
 
+def _tail(hypothesis: NoiseHypothesis, gained: Callable[[Floats], Floats]) -> NoiseHypothesis:
+    """Hypothesis of a heavy tail with the variance of each reading: the inverse of its expected weight.
+
+    A reading is in the tail with a probability p, there with one of the factors f; its weight is (1 - p) + p E[1 / f],
+    as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23). The share of the tail is that of
+    the largest likelihood.
+    """
+    count = len(hypothesis.effect.parameters)
+    logs = np.stack([gained(np.full(count, factor - 1.0)) for factor in MUCH_WORSE]) - gained(np.zeros(count))
+    ratio = log_sum_exp(logs) - np.log(len(MUCH_WORSE))
+    likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_SHARE]
+    q = float(NOISY_GROUP_SHARE[int(np.argmax(likelihood))])
+    inside = expit(ratio + np.log(q / (1.0 - q)))
+    weight = 1.0 - inside + inside * (np.exp(logs - log_sum_exp(logs)) / MUCH_WORSE[:, None]).sum(axis=0)
+    values = 1.0 / weight - 1.0
+    drop = 2.0 * float((gained(values) - gained(np.zeros(count))).sum())
+    sigma = np.sqrt(2.0) * (1.0 + values)  # of a variance from one reading
+    return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))
+
+
 def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis with estimated sizes, standard deviations, and twice the log restricted likelihood ratio.
 
@@ -379,6 +423,8 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     """
     effect, scale = hypothesis.effect, hypothesis.effect.spread
     gained = reml_gain(space, nominal, effect, space.residual, space.redundancy)
+    if getattr(effect, "each", "") == "reading":
+        return _tail(hypothesis, gained)
     least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
     for _ in range(ZOOMS):

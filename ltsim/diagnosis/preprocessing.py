@@ -21,6 +21,8 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 
 FAR_OUT = 8.0
 """Normalised residual that noise does not reach in any recording, even where it is twice the declared one."""
+AGREES = 4.0
+"""Residual over the standard deviation up to which an omitted reading agrees: beyond the noise of any reading used."""
 PATTERN = 2
 """Outliers of one observable at one station or target up to which they are single errors."""
 
@@ -50,12 +52,19 @@ def single_errors(fit: Fit) -> Bools:
     return single | far
 
 
+def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
+    """Omitted readings (n, 3) that agree with an adjustment: with the effects of a diagnosis they are no errors."""
+    whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    return omitted & (whitened < AGREES)
+
+
 def adapted(
-    recording: Recording, construction: Construction, selection: Selection
+    recording: Recording, construction: Construction, selection: Selection, *, restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """The adjustment with the mistakes of a selection in its model, readings (n, 3) to use, and the findings.
 
     The recording of the adjustment is corrected by the estimates; what these are uncertain by is estimated in it.
+    Readings that are `restored` (n, 3) are no errors.
     """
     fit, mistakes = selection.fit, mistakes_in(selection)
     clean, effects = changed_recording(recording, mistakes), tuple[Signature, ...]()
@@ -63,6 +72,8 @@ def adapted(
         corrected, effects = fit.corrected(recording, outliers=True), fit.effects
         clean = clean.with_readings(corrected.readings)
     errors = single_errors(fit)
+    if restored is not None:
+        errors &= ~restored
     start = replace(fit.state, extra=np.zeros(sum(len(e.parameters) for e in effects)))
     baseline = adjust(clean, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=start)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}

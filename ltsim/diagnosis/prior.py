@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.core.probability import P_CONSTANT
 
-PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": P_CONSTANT}
+PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "constant": P_CONSTANT}
 """Prior probability of each kind of unmodelled cause, given that there is one."""
 ABOUT = {
     "named": "an effect of the catalogue that shifts readings",
@@ -33,11 +33,6 @@ SAME_OBSERVABLE = 0.5
 """Chance that such a cause acts on the observable of what it looks like."""
 P_CAP_TESTS = 1.0 - P_UNMODELLED * SAME_OBSERVABLE
 """Upper limit on the probability reported for findings that have no likelihood term for an unmodelled cause."""
-P_UNMODELLED_LOOKS_LIKE_NOISE = 0.25
-"""Chance that a shift that nobody listed looks like noise, and not like a shift in one of the three observables."""
-_NOISE = PRIOR["noise"] + PRIOR["scatter"]
-P_CAP_NOISE = _NOISE / (_NOISE + P_UNMODELLED_LOOKS_LIKE_NOISE * P_UNMODELLED * (PRIOR["named"] + PRIOR["law"]))
-"""Upper limit on the probability reported for excess noise; an unmodelled shift can look like noise."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place at which a law outside the catalogue acts."""
 KINDS = {

@@ -29,7 +29,7 @@ from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate
-from ltsim.diagnosis.shapes import are_distinct, interpolate, shape_posterior
+from ltsim.diagnosis.shapes import are_distinct, centre_estimates, interpolate, shape_posterior
 from ltsim.diagnosis.space import panels
 from ltsim.physics.effects.signature import ShapeParameter, Tunable
 from ltsim.physics.laws.law import Law
@@ -233,13 +233,13 @@ class Searcher:
         effect = hypothesis.effect
         if isinstance(effect, Law):
             sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
-            return tuple(Estimate(**size._asdict()) for size in sizes)
+            return (*(Estimate(**size._asdict()) for size in sizes), *centre_estimates(self.exact, effect, others))
         marginal = shape_posterior(self.exact, effect, others, refitted)
         wider = any(marginal[e.name].sigma > WIDER * e.sigma for e in refitted if e.name in marginal)
         rows = [marginal.get(e.name, e) if wider else e for e in refitted]
         if "time" in marginal and all(e.name != "time" for e in rows):
             rows.append(marginal["time"])
-        return tuple(rows)
+        return (*rows, *centre_estimates(self.exact, effect, others))
 
     def coefficients(self, law: Law, others: Model) -> tuple[Floats, Floats]:
         """Mean (k,) and covariance (k, k) of a law's coefficients given a model."""

@@ -1,7 +1,7 @@
 """Posterior of an effect's parameters and shape constants over all its shapes and near places."""
 
 from collections.abc import Mapping, Sequence
-from itertools import product
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,9 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import Estimate
 from ltsim.physics.effects.signature import ShapeParameter, Tunable
+
+STEP, FLAT = 0.05, 20.0
+"""[m] Step of the second differences over a place of the hall, and its multiple that stands for no bound."""
 
 
 def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
@@ -107,6 +110,35 @@ def all_shapes(
         weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
         nodes.append(ShapeNode(shape, weight, constants, mean, np.diag(covariance), gap))
     return nodes
+
+
+def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) -> tuple[Estimate, ...]:
+    """Centre of a region of the hall with its standard deviations, network frame; empty for effects without one.
+
+    Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; a
+    coordinate that they do not confine has the standard deviation of the step times `FLAT`.
+    """
+    centre = np.array(effect.hall_centre)
+    if not len(centre):
+        return ()
+    k = len(centre)
+    steps = STEP * np.eye(k)
+    moves = [np.zeros(k), *steps, *-steps]
+    pairs = list(combinations(range(k), 2))
+    moves += [steps[i] + steps[j] for i, j in pairs] + [steps[i] - steps[j] for i, j in pairs]
+    moves += [steps[j] - steps[i] for i, j in pairs] + [-steps[i] - steps[j] for i, j in pairs]
+    logs = exact.evidence([effect.centred_at(tuple((centre + move).tolist())) for move in moves], base)
+    ahead, behind, crossed = logs[1 : k + 1], logs[k + 1 : 2 * k + 1], logs[2 * k + 1 :].reshape(4, -1)
+    hessian = np.diag((2.0 * logs[0] - ahead - behind) / STEP**2)
+    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * STEP**2)
+    for (i, j), value in zip(pairs, mixed, strict=True):
+        hessian[i, j] = hessian[j, i] = value
+    strength, turn = np.linalg.eigh(hessian)
+    variance = turn**2 @ (1.0 / np.maximum(strength, 1.0 / (FLAT * STEP) ** 2))
+    return tuple(
+        Estimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
+        for axis, value, v in zip(effect.hall_axes, centre, variance, strict=True)
+    )
 
 
 def shape_posterior(

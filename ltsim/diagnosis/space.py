@@ -15,7 +15,15 @@ from ltsim.diagnosis.evidence import times_to_noise
 from ltsim.diagnosis.law_batch import LawBatch, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.physics.laws.columns import LOW, MODES
-from ltsim.physics.laws.places import Place, clusters, each, group_places, neighbour_groups, trackers_of
+from ltsim.physics.laws.places import (
+    Place,
+    clusters,
+    connected_groups,
+    each,
+    group_places,
+    neighbour_groups,
+    trackers_of,
+)
 from ltsim.physics.laws.regressor_library import (
     DEPTHS,
     OPERATOR_ODDS,
@@ -37,8 +45,10 @@ ROOM = 2
 """A law needs this many pointings per coefficient at its place: the adjustment absorbs about half of them."""
 AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag")
 """Kinds of drivers of one instrument, and of one set-up."""
-ONLY = {"product": ("reading",), "room": ("target",)}
+ONLY = {"product": ("reading",), "passage": ("reading",), "room": ("target",)}
 """Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
+TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "passage")
+"""Kinds of drivers that several observables follow together: products of curves would have too many coefficients."""
 Drivers = Mapping[str, Sequence[Regressor]]
 
 
@@ -62,7 +72,9 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
     stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
     targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
     is_grouped = len(s.target_names) in GROUPED
-    groups = tuple(group_places(s, clusters(s) | neighbour_groups(s))) if is_grouped else ()
+    lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
+    sets = clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
+    groups = tuple(group_places(s, sets))
     stay = float(np.median([len(place.rows) for place in stations] or [0]))
     general = regressors_of(s)
     there = general if stay > FINE * MODES else regressors_of(s, LOW)
@@ -100,12 +112,20 @@ class _Maker:
         """Ask for panels at some places, of carriers and of the drivers that move them; some kinds are `held`."""
         kinds = AT_TARGETS if place in ("target", "group") else KINDS
         for (kind, ways), carriers_of_kind in self._carriers.items():
-            carriers = sum(len(same) for (other, _), same in self._carriers.items() if other == kind)
+            together = len(carriers_of_kind[0][0].units)  # observables of a joint response; 0 for all others
+            carriers = sum(
+                len(same)
+                for (other, n), same in self._carriers.items()
+                if other == kind and (n == ways if together else not same[0][0].units)
+            )
             for name, drivers in offered.items():
                 if kind not in kinds or kind not in ONLY.get(name, (kind,)) or (name == "constant" and kind in held):
                     continue
+                if together and (name not in TOGETHER or place in ("target", "group")):
+                    continue
                 moved = [d for d in drivers if is_admissible(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
-                weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS ** DEPTHS[name] / carriers
+                depth = DEPTHS[name] + max(together - 1, 0)
+                weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
                 self._share(tuple(c for c, _ in carriers_of_kind), moved, places, weight, ways)
 
     def _share(

@@ -4,8 +4,9 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage
-from ltsim.physics.effects.rays import AirField, WarmAir
+from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage, on_readings
+from ltsim.physics.effects.rays import AirField, WarmAir, bending
+from ltsim.scene.regions import Region, regions_of
 from ltsim.scene.sightings import Sightings
 
 RING = 8
@@ -29,22 +30,24 @@ def _rounded(offset: Floats) -> tuple[float, float, float]:
 class HeatPlume(WarmAir):
     """Heat plume: a motor, a radiator or the tracker's own exhaust warms a part of the air.
 
-    T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target; along the path, s = 0 to
-    d, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds. The weight (d - s)
-    makes heat near the station bend the aim (a shift that grows with d), heat near a target hardly at all; the range
-    falls short by beta times the integral of T wherever it is.
+    T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target, or at a place of the
+    hall; along the path, s = 0 to d, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of
+    (n - n_sensor) ds. The weight (d - s) makes heat near the station bend the aim (a shift that grows with d), heat
+    near a target hardly at all; the range falls short by beta times the integral of T wherever it is.
 
     Size: 5 K over 0.5 m changes a range by 2.3 um; at the head, with a gradient of 5 K in 0.2 m, it bends by 7 urad.
     Like: the station's tilt and index-drift there (near a station); a range constant of that target (near a target).
     Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
-    Valid: on while its station, or target, is measured; the centre is searched half a metre away in all directions,
-    then moved, and the radius refined.
+    Valid: on while its station, or target, is measured, or always; the centre is searched half a metre from a station
+    in all directions, at targets, and on a grid over the hall where several lines of sight pass, then moved, and the
+    radius refined.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (index).
     Status: first order validated against the integrated ray; the Gaussian form is a choice.
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """[m] Centre from the station or target; of a plume of neither its coordinates in the network frame."""
     radius: float = 0.3
 
     name = "heat-plume"
@@ -61,7 +64,7 @@ class HeatPlume(WarmAir):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """A ring of directions, above and below at every station; around every target."""
+        """A ring of directions, above and below at every station; around every target; on a grid over the hall."""
         angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
         ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in LEVELS]
         offsets = [_rounded(REACH * np.array(way)) for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))]
@@ -70,23 +73,51 @@ class HeatPlume(WarmAir):
         return [
             *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
             *(cls((), (name,), radius=NEAR_TARGET) for name in targets),
+            *(cls((), (), _rounded(np.array(ball.centre)), ball.width) for ball in regions_of(sightings, ("xyz",))),
         ]
 
     def finer(self, sightings: Sightings) -> list[Self]:
         """Centres a little farther along or against each axis."""
-        if not self.stations:
+        if self.targets:
             return []
         moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
         return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
 
-    def field(self, sightings: Sightings) -> AirField:
-        """The plume with a centre warmer by one kelvin: from the station where one is named, else from the target."""
+    @property
+    def hall_centre(self) -> tuple[float, ...]:
+        """Centre [m] of a plume that stands in the hall."""
+        return () if self.stations or self.targets else self.offset
+
+    def centred_at(self, centre: tuple[float, ...]) -> Self:
+        """The plume elsewhere in the hall."""
+        return self.reshaped(offset=centre)
+
+    def _centre(self, sightings: Sightings) -> Floats:
+        """Centre (3,) [m] in the network frame."""
         anchor = np.zeros(3)
         if self.stations:
             anchor = sightings.position[sightings.station_names.index(self.stations[0])]
         elif self.targets:
             anchor = sightings.points[sightings.target_names.index(self.targets[0])]
-        centre = anchor + np.asarray(self.offset)
+        return anchor + np.asarray(self.offset)
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per kelvin, first order, in closed form."""
+        ball = Region("xyz", tuple(self._centre(sightings).tolist()), self.radius)
+        path, pull = ball.bending(sightings)
+        _, across, up = sightings.unit_vectors
+        acts = bending() * self.mask(sightings)
+        bend = -pull * (acts / sightings.range_)[:, None]
+        return on_readings(
+            sightings,
+            distance=acts * path,
+            azimuth=np.sum(bend * across, axis=1) / np.cos(sightings.elevation),
+            elevation=np.sum(bend * up, axis=1),
+        )[:, :, None]
+
+    def field(self, sightings: Sightings) -> AirField:
+        """The plume with a centre warmer by one kelvin."""
+        centre = self._centre(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             arm = points - centre

@@ -183,6 +183,20 @@ class Tunable(Signature, Protocol):
         """Neighbours that a first search leaves out; tried once this one stands out."""
         return ()
 
+    @property
+    def hall_centre(self) -> tuple[float, ...]:
+        """Coordinates [m], network frame, of the place of the hall where it stands; empty where it has none."""
+        return ()
+
+    @property
+    def hall_axes(self) -> str:
+        """Axes of these coordinates."""
+        return "xyz"[: len(self.hall_centre)]
+
+    def centred_at(self, centre: tuple[float, ...]) -> Self:
+        """The same law with its place of the hall elsewhere."""
+        return self
+
     def reshaped(self, **constants: Any) -> Self:
         """The same law with other constants: fields of a dataclass."""
         return replace(self, **constants)  # type: ignore[type-var]

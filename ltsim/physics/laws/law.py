@@ -17,7 +17,7 @@ from ltsim.physics.effects.signature import Parameter, Tunable
 from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, indicator_columns
 from ltsim.physics.laws.places import LEAST_GROUP
 from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP
-from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, pieces, simple, smooth
+from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, passage, pieces, simple, smooth
 from ltsim.physics.laws.responses import RESPONSES, ResponseTerm
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -103,6 +103,21 @@ class Law(Tunable):
         at = indicator_columns(sightings.station, [sightings.station_names.index(name) for name in self.stations])
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
+    @property
+    def hall_centre(self) -> tuple[float, ...]:
+        """Centre [m] of the region of the hall that it follows."""
+        return self.driver.region.centre if self.driver.region else ()
+
+    @property
+    def hall_axes(self) -> str:
+        """Axes of these coordinates."""
+        return self.driver.region.axes if self.driver.region else ""
+
+    def centred_at(self, centre: tuple[float, ...]) -> Law:
+        """The law with its region elsewhere."""
+        region = self.driver.region
+        return self if region is None else replace(self, driver=passage(replace(region, centre=centre)))
+
     def finer(self, sightings: Sightings) -> list[Law]:
         """Rates between those tried first, edges and constants around one."""
         driver = self.driver
@@ -112,6 +127,8 @@ class Law(Tunable):
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
         if driver.kind == "pieces" and len(driver.factors) <= MOVED:
             return self._with_moved_pieces(sightings)
+        if driver.region is not None:
+            return [replace(self, driver=passage(region)) for region in driver.region.neighbours()]
         if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
@@ -202,7 +219,10 @@ class Law(Tunable):
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
 
     def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
-        """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance."""
+        """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance.
+
+        The main direction of components with units of their own is one of them.
+        """
         ways, k = len(self.carrier.ways), self.driver.size
         shape = (ways, len(mean) // (ways * k), k)
         means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
@@ -215,6 +235,7 @@ class Law(Tunable):
         moved = columns[law.mask(sightings) > 0] @ means[:, top].T
         moved = moved - moved.mean(axis=0) if self.driver.kind != "constant" else moved
         way = np.linalg.svd(moved, full_matrices=False)[2][0]
+        way = np.eye(ways)[np.argmax(np.sum(moved**2, axis=0))] if self.carrier.units else way
         way = way * np.sign(way[np.argmax(np.abs(way))])
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 

@@ -1,10 +1,12 @@
 """Places where a law may act: set-ups, targets, and targets that belong together."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.cluster.hierarchy import linkage
+from scipy.sparse.csgraph import connected_components
 
 from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
@@ -65,6 +67,18 @@ def neighbour_groups(s: Sightings) -> set[tuple[int, ...]]:
     """Groups of a target and the few that stand nearest to it."""
     near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
+
+
+def connected_groups(s: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
+    """Targets that known lengths between them join to one body: a gauge."""
+    index = {name: i for i, name in enumerate(s.target_names)}
+    pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
+    if not pairs:
+        return set()
+    count, (first, second) = len(index), np.array(pairs).T
+    _, body = connected_components(sp.coo_array((np.ones(len(pairs)), (first, second)), (count, count)), directed=False)
+    members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
+    return {group for group in members if LEAST_GROUP <= len(group) <= count - LEAST_GROUP}
 
 
 def group_places(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:

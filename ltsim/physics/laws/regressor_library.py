@@ -13,7 +13,19 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.laws.columns import LOW, MODES
-from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, across_the_room, amounts, base_of, simple, smooth
+from ltsim.physics.laws.regressors import (
+    CLOCKS,
+    CONSTANT,
+    Regressor,
+    across_the_room,
+    amounts,
+    base_of,
+    passage,
+    pieces,
+    simple,
+    smooth,
+)
+from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
 
 POINTED = ("azimuth", "elevation", "distance")
@@ -31,7 +43,7 @@ DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),
     "circle": (*CLOCKS, "lapse", *_SIGNS[3:]),
     "stand": (*CLOCKS, "azimuth", "elevation", "distance", "wound-azimuth", "work-azimuth", "lapse", "last-target"),
-    "target": ("time", "station", *_SIGNS[3:]),
+    "target": ("time", "station", "distance", "height", *_SIGNS[3:], *_NEST),
     "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_NEST),
     "air": CLOCKS,
 }
@@ -45,6 +57,8 @@ MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
 FEW_VISITS, MOST_VISITS, MOST_AMOUNTS = 3, 12, 60
 """Set-ups beyond and up to whose number each may have a value of its own (of few, one or two stand out); targets up to
 whose number."""
+MOST_CHANGES = 12
+"""Times of a step that groups are tried with; the best is moved."""
 WAVE_STEP = 0.6
 """Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
 MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
@@ -58,11 +72,13 @@ DEPTHS = {
     "sign": 0,
     "curve": 0,
     "clock": 0,
+    "step": 0,
     "decay": 0,
     "wave": 0,
     "memory": 1,
     "lag": 1,
     "amounts": 1,
+    "passage": 1,
     "room": 1,
     "product": 2,
 }
@@ -108,6 +124,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "amounts": [*_each_visit(s, FEW_VISITS + 1), *_each_before(s)],
         "wave": list(waves(s)),
         "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_drivers(s), 2)],
+        "passage": [passage(region) for region in regions_of(s)],
         "product": list(products(s)),
     }
 
@@ -120,15 +137,25 @@ def local_drivers(sightings: Sightings) -> list[Regressor]:
 
 
 def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Drivers of changes of a group of targets: joint motion, another one at each set-up, or a tilt."""
-    local, each = local_drivers(sightings), _each_visit(sightings, 2)
+    """Drivers of changes of a group of targets: joint motion, sudden or gradual, another one at each set-up, a tilt."""
+    local, each, steps = local_drivers(sightings), _each_visit(sightings, 2), _steps(sightings)
     return {
         "constant": [CONSTANT],
         "clock": local,
+        "step": steps,
         "amounts": each,
         "wave": _slow_waves(sightings),
-        "room": across_the_room([*local, *each], 1),
+        "room": across_the_room([*local, *each, *steps], 1),
     }
+
+
+def _steps(sightings: Sightings) -> list[Regressor]:
+    """One step in time, at pauses spread evenly over the work."""
+    clock = np.unique(sightings.time)
+    if len(clock) < MOST_CHANGES:
+        return []
+    at = np.linspace(0, len(clock) - 1, MOST_CHANGES + 2).round().astype(int)[1:-1]
+    return [pieces([simple("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
 
 
 def _signs_differ(sightings: Sightings) -> bool:

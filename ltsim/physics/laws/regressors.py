@@ -25,6 +25,7 @@ from ltsim.physics.laws.columns import (
     indicator_columns,
     unit_rms,
 )
+from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
 
 CLOCKS = ("time", "station-time")
@@ -71,7 +72,8 @@ class Regressor:
         constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
         product, pieces (the sum of steps and ramps of one covariate), lagging (what follows a covariate by and by),
         amounts (another one for each station, instrument, target, or one that was measured before), field (the same
-        for all that is carried, growing across the room, and bent).
+        for all that is carried, growing across the room, and bent), passage (the length of the line of sight in a
+        region of the hall).
     covariates : tuple of str
     function : str
         Of a simple driver.
@@ -82,6 +84,8 @@ class Regressor:
         Of a product; the pieces.
     around : tuple of str
         Targets about whose middle a field grows, or that have amounts of their own; empty for all.
+    region : Region, optional
+        Of a passage.
     """
 
     kind: str
@@ -90,6 +94,7 @@ class Regressor:
     constant: float = 0.0
     factors: tuple[Regressor, ...] = ()
     around: tuple[str, ...] = ()
+    region: Region | None = None
 
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
         """Columns (n, k), each of rms about one over the pointings.
@@ -125,6 +130,9 @@ class Regressor:
                 return field(sightings, self.covariates, self.around, bent=self.constant > 1)
             case "simple":
                 return function(sightings, name, self.function, self.constant)
+            case "passage":
+                assert self.region is not None
+                return unit_rms(self.region.path(sightings)[:, None])
             case "lagging":
                 return first_order_lag(sightings, name, self.constant)
             case "amounts":
@@ -165,7 +173,7 @@ class Regressor:
     def spreads(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one set a length scale."""
         match self.kind:
-            case "constant" | "simple":
+            case "constant" | "simple" | "passage":
                 return (np.ones(1),)
             case "wave" | "lagging":
                 return (np.full(2, np.sqrt(0.5)),)
@@ -223,6 +231,11 @@ def across_the_room(drivers: Sequence[Regressor], order: int) -> list[Regressor]
 def simple(name: str, function: str, constant: float = 1.0) -> Regressor:
     """A driver with one column."""
     return Regressor("simple", (name,), function, constant)
+
+
+def passage(region: Region) -> Regressor:
+    """A driver that is the length of the line of sight in a region of the hall."""
+    return Regressor("passage", tuple(region.axes), region=region)
 
 
 def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Regressor:

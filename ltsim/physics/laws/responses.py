@@ -8,11 +8,12 @@ reading itself. What moves in space does so in any direction, which is one carri
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
+from ltsim.core.units import ARCSECOND, FACTOR, MICROMETRE, PPM
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
@@ -45,6 +46,10 @@ class ResponseTerm:
         reading, instrument, circle, stand, target, air or reflector.
     ways : tuple of str
         Its components in words; one of no name where it has no direction.
+    scales : tuple of float
+        Change [SI] of each component per unit of its coefficient; empty for ones.
+    units : tuple of str
+        Units of the components; empty where all have that of the response.
     """
 
     name: str
@@ -53,6 +58,13 @@ class ResponseTerm:
     observables: tuple[str, ...] = ()
     kind: str = "instrument"
     ways: tuple[str, ...] = ("",)
+    scales: tuple[float, ...] = ()
+    units: tuple[str, ...] = ()
+
+    def display(self, way: int) -> tuple[str, float]:
+        """Unit of a component, and the factor from its coefficient [SI] to that unit."""
+        unit, scale = (self.units[way], self.scales[way]) if self.units else (self.unit, 1.0)
+        return unit, scale / FACTOR[unit]
 
 
 _SLOTS = {
@@ -77,6 +89,22 @@ _READINGS = tuple(
     )
     for name in OBSERVABLES
 )
+_SIZE = {"distance": LENGTH, "azimuth": ANGLE, "elevation": ANGLE}
+_TOGETHER = tuple(
+    ResponseTerm(
+        " and ".join(names),
+        "um" if names[0] == "distance" else "urad",
+        _SIZE[names[0]],
+        names,
+        "reading",
+        names,
+        tuple(_SIZE[name] / _SIZE[names[0]] for name in names),
+        tuple("um" if name == "distance" else "urad" for name in names),
+    )
+    for count in (2, 3)
+    for names in combinations(OBSERVABLES, count)
+)
+"""Several observables that follow the same driver, each with a coefficient of its own."""
 _SCALE = ResponseTerm("range scale", "ppm", STRAIN, ("distance",))
 
 
@@ -103,6 +131,11 @@ def _reading(sightings: Sightings, observable: str) -> Floats:
     return on_readings(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
+def _readings(sightings: Sightings, carrier: ResponseTerm) -> Floats:
+    ways = [scale * _reading(sightings, name) for name, scale in zip(carrier.observables, carrier.scales, strict=True)]
+    return np.concatenate(ways, axis=2)
+
+
 def _slot(sightings: Sightings, slot: str) -> Floats:
     return sightings.slot_responses[slot][:, :, None]
 
@@ -126,6 +159,7 @@ Derivative = Callable[[Sightings], Floats]
 def _registry() -> dict[str, tuple[ResponseTerm, Derivative]]:
     derivatives: list[tuple[ResponseTerm, Derivative]] = [
         *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
+        *((carrier, partial(_readings, carrier=carrier)) for carrier in _TOGETHER),
         *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
         *((carrier, effect.design) for carrier, effect in _CIRCLES.items()),
         (_SCALE, _scale),

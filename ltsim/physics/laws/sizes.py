@@ -27,7 +27,8 @@ def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     law, way, means, spread = law.along(mean, covariance, sightings)
     ways = law.carrier.ways
     if law.driver.kind == "constant":
-        return tuple(_size(law, f"{law.carrier.name} {w}", means[i, 0], spread[i, 0, i, 0]) for i, w in enumerate(ways))
+        name = "" if law.carrier.units else law.carrier.name
+        return tuple(_size(law, f"{name} {w}", means[i, 0], spread[i, 0, i, 0], i) for i, w in enumerate(ways))
     if law.driver.kind == "wave" and len(ways) == 1:
         mean, covariance = means[0], spread[0, :, 0]
         size = float(np.hypot(*mean))
@@ -42,14 +43,17 @@ def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     values = each @ way
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
     swings = (
-        _size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap)) for i, w in enumerate(ways)
+        _size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), i)
+        for i, w in enumerate(ways)
     )
+    if law.carrier.units:  # components of several units have no common rms
+        return tuple(swings)
     rms = float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
     slope = np.einsum("nc,nk->ck", each, columns) / max(rms * len(each), 1e-300)
     felt = _size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
     return felt, *swings
 
 
-def _size(law: Law, name: str, value: float, variance: float) -> Size:
-    factor = law.parameters[0].factor
-    return Size(name.strip(), float(value) / factor, float(np.sqrt(max(variance, 0.0))) / factor, law.carrier.unit)
+def _size(law: Law, name: str, value: float, variance: float, way: int = 0) -> Size:
+    unit, factor = law.carrier.display(way)
+    return Size(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

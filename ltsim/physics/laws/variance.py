@@ -8,14 +8,21 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.signature import NoiseSignature, Parameter
 from ltsim.physics.laws.columns import MEMORY
 from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
 
 REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
 """Ways in which amounts repeat: an error on the way to a target is in the ranges of both faces."""
 
 
+LEAST_PATH = 0.05
+"""Share of the longest path through a region up to which a line of sight passes outside."""
+
+
 def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
-    """Names of all targets, or of all stations, and that (n,) of each pointing."""
+    """Names of all targets, stations, or pointings (``row 1``), and that (n,) of each pointing."""
+    if each == "reading":
+        return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
     if each == "station":
         return tuple(sightings.station_names), sightings.station
     return tuple(sightings.target_names), sightings.target
@@ -26,7 +33,8 @@ class VarianceFunction(NoiseSignature):
     """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
-    the names of all targets or stations, has a value of its own; one for each observable where `per_observable`.
+    the names of all targets, stations or readings, has a value of its own; one for each observable where
+    `per_observable`. In a `region` of the hall the pattern is the length of the line of sight in it.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -39,6 +47,7 @@ class VarianceFunction(NoiseSignature):
     each: str = ""
     owners: tuple[str, ...] = ()
     per_observable: bool = False
+    region: Region | None = None
 
     name = "unknown"
 
@@ -68,6 +77,10 @@ class VarianceFunction(NoiseSignature):
         if self.repeating:
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
             return f"amounts without a visible law that repeat when a target is measured again{again}"
+        if self.region is not None:
+            return "larger noise on lines of sight that pass a region of the hall"
+        if self.each == "reading":
+            return "a share of the readings scatters much more than the rest"
         if self.each:
             what = self.each.replace("station", "set-up")
             return f"noise that differs from {what} to {what}" + (
@@ -81,12 +94,34 @@ class VarianceFunction(NoiseSignature):
         """Variance (n, 3)."""
         if self.each:
             added = values.reshape(len(self.owners), -1)[owners_of(sightings, self.each)[1]]
-            return np.asarray(sigma**2 * (1.0 + added))
+            acts = [o in self.observables for o in OBSERVABLES]
+            factor = np.ones(sigma.shape)
+            factor[:, acts] += added
+            return np.asarray(sigma**2 * factor)
         pattern = self.mask(sightings)
+        if self.region is not None:
+            path = self.region.path(sightings)
+            share = path / max(float(path.max(initial=0.0)), 1e-12)
+            pattern = pattern * np.where(share > LEAST_PATH, share, 0.0)
+            return self._grown(sigma, values[0] * pattern)
         for name in self.covariates:
             x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
+        return self._grown(sigma, values[0] * pattern)
+
+    def _grown(self, sigma: Floats, added: Floats) -> Floats:
+        """Variance (n, 3) with an added share (n,) in its observables."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
-        grown: Floats = sigma**2 * (1.0 + values[0] * pattern[:, None] * np.array(acts))
+        grown: Floats = sigma**2 * (1.0 + added[:, None] * np.array(acts))
         return grown
+
+    @property
+    def hall_centre(self) -> tuple[float, ...]:
+        """Centre [m] of its region of the hall."""
+        return self.region.centre if self.region else ()
+
+    @property
+    def hall_axes(self) -> str:
+        """Axes of these coordinates."""
+        return self.region.axes if self.region else ""

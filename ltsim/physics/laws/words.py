@@ -10,9 +10,10 @@ from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressor_library import FOLLOWED, OPERATORS
-from ltsim.physics.laws.regressors import CLOCKS, PLACE, Regressor, amounts, pieces
+from ltsim.physics.laws.regressors import CLOCKS, PLACE, Regressor, amounts, passage, pieces
 from ltsim.physics.laws.responses import RESPONSES
 from ltsim.recordings.recording import Recording
+from ltsim.scene.regions import SHAPES, Region
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
@@ -93,6 +94,8 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
         return describe(driver.factors[0], clock=clock) + AT_EACH
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
+    if driver.region is not None:
+        return f"the path through {region_words(driver.region)}"
     name, k, how = "".join(driver.covariates[-1:]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
@@ -100,6 +103,12 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
     unit = UNIT_OF.get(driver.kind, name)
     value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
     return phrase.format(x=PHRASE_OF.get(name, name), k=f"{k:.4g}", value=value)
+
+
+def region_words(region: Region) -> str:
+    """A region of the hall in words."""
+    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.axes, region.centre, strict=True))
+    return f"a {SHAPES[region.axes]} at {at}, width {region.width:.4g} m"
 
 
 EXAMPLES = (
@@ -111,10 +120,15 @@ EXAMPLES = (
     "a wave in x with a period of 400 mm",
     "a smooth function of circle",
     "face times distance",
+    "the path through a ball at x 2 m, y 1 m, z 1.5 m, width 0.5 m",
 )
 """Examples of a driver in words."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
+_REGION = re.compile(
+    rf"the path through a (?P<shape>{'|'.join(SHAPES.values())}) at (?P<at>.+), width (?P<width>{_NUMBER}) m"
+)
+_COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
 _STEPS = re.compile(r", (?=step\(|ramp\()")
 
 
@@ -147,6 +161,8 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
     if words.endswith(AT_EACH):
         by_instrument = amounts("instrument", len(recording.instruments))
         return Regressor("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), by_instrument))
+    if match := _REGION.fullmatch(words):
+        return passage(_read_region(words, match))
     if len(factors) > 1:
         return Regressor("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
@@ -175,6 +191,16 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
         f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
         f"{', '.join(covariates)}"
     )
+
+
+def _read_region(words: str, match: re.Match[str]) -> Region:
+    """The region that some words describe; raises ModelError."""
+    axes = next(axes for axes, shape in SHAPES.items() if shape == match["shape"])
+    centre = dict(_COORDINATE.findall(match["at"]))
+    if "".join(centre) != axes or float(match["width"]) <= 0.0:
+        expected = region_words(Region(axes, (1.0,) * len(axes), 0.5))
+        raise ModelError(f"'{words}': expected a region such as '{expected}'")
+    return Region(axes, tuple(map(float, centre.values())), float(match["width"]))
 
 
 def _constant(words: str, name: str, groups: Mapping[str, str], clock: bool) -> float:

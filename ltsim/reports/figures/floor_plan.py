@@ -1,7 +1,7 @@
 """Floor plan seen from above, as Figure 5 of the paper, with names of stations and targets."""
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot
 from typing import Any
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Ellipse, Polygon
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import DEGREE, MILLIMETRE
@@ -325,10 +325,26 @@ def _places(workshop: PlacedWorkshop, entries: int) -> tuple[list[Line2D], list[
 
 
 @style.styled
-def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
-    """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair."""
+def whereabouts(
+    workshop: PlacedWorkshop,
+    marked: Sequence[str],
+    pairs: Sequence[tuple[str, str]] = (),
+    area: Mapping[str, tuple[float, float]] | None = None,
+) -> Figure:
+    """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair.
+
+    A place of the hall is an `area`: by axis its centre and half-width [m]; a strip where it has one axis.
+    """
     figure = floor_plan(workshop)
     ax = figure.axes[0]
+    if area and len(area) == 2:
+        (x, wide), (y, high) = area["x"], area["y"]
+        least = LEAST_AREA * workshop.size
+        ax.add_patch(Ellipse((x, y), 2 * max(wide, least), 2 * max(high, least), color=style.RED, alpha=0.35, zorder=8))
+        ax.scatter(x, y, marker="+", s=90, color=style.RED, zorder=9)
+    for axis, (centre, half) in (area or {}).items() if area and len(area) == 1 else ():
+        span = ax.axvspan if axis == "x" else ax.axhspan
+        span(centre - half, centre + half, color=style.RED, alpha=0.35, zorder=8)
     names = [*workshop.stations, *workshop.targets]
     place = dict(zip(names, np.concatenate([workshop.position, workshop.points])[:, :2].tolist(), strict=True))
     for name in marked:
@@ -341,6 +357,8 @@ def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence
     return figure
 
 
+LEAST_AREA = 0.015
+"""Half-width with which a place of the hall is drawn at least, over the size of the hall."""
 SAME_PLACE = 0.04
 """Distance within which changes share a mark, over the size of the hall."""
 

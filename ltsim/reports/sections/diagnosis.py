@@ -216,18 +216,21 @@ def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals
 
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
-    """Floor plan with the place of a finding at few stations or targets, or with the exchanged targets."""
+    """Floor plan with the place of a finding in the hall, at few stations or targets, or with the exchanged targets."""
     from ltsim.reports.workshop import from_adjustment
 
     stations, targets = finding.where.stations, finding.where.targets
-    if pair is None or not targets or len(targets) > MOST_MARKED:
+    centre = {p.name.removeprefix("centre-"): p for p in finding.parameters if p.name in ("centre-x", "centre-y")}
+    if pair is None or not (targets or centre) or len(targets) > MOST_MARKED:
         return []
     swapped = _swapped(finding)
     marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
     text = "The names of the red targets were exchanged: each reading belongs to the other end of the arrow."
     caption = text if swapped else "Seen from above, in red."
+    caption += " The shaded area is the place in the hall, two standard deviations wide." if centre else ""
     workshop = from_adjustment(pair[1])
-    figure = partial(figures.floor_plan.whereabouts, workshop, marked, pairs)
+    area = {axis: (p.value, 2.0 * p.sigma) for axis, p in centre.items()}
+    figure = partial(figures.floor_plan.whereabouts, workshop, marked, pairs, area)
     return [Picture(f"Place of finding {number_}", figure, caption)]
 
 

@@ -11,9 +11,10 @@ from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import SIMPLE
 from ltsim.physics.laws.regressor_library import FOLLOWED, regressors_of
-from ltsim.physics.laws.regressors import CONSTANT, Regressor, across_the_room, amounts, pieces, simple, smooth
+from ltsim.physics.laws.regressors import CONSTANT, Regressor, across_the_room, amounts, passage, pieces, simple, smooth
 from ltsim.physics.laws.words import EXAMPLES, OWNERS, PHRASE_OF, describe, read_driver, read_law
 from ltsim.recordings import Recording
+from ltsim.scene.regions import SHAPES, Region
 from tests.networks import network
 
 
@@ -46,6 +47,7 @@ def every() -> list[Regressor]:
     found += [Regressor("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
     found += [simple("press_load_kn", "power").per_target(("T01", "T02", "T04"))]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
+    found += [passage(Region(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35)) for axes in SHAPES]
     found.append(Regressor("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
     return [*found, Regressor("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 

@@ -1,0 +1,127 @@
+"""Regions of the hall that lines of sight pass: a ball, a column, a height band or a slab, fixed in the network frame.
+
+A region is Gaussian in the axes that confine it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)), so that the integral of w
+along a line of sight is closed: with a = |A b|^2 of the unit vector b, the nearest approach at s0 and its distance rho,
+integral = exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0) sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.special import ndtr
+
+from ltsim.core.arrays import Floats
+from ltsim.scene.sightings import Sightings
+
+SHAPES = {"xyz": "ball", "xy": "column", "z": "height band", "x": "slab across x", "y": "slab across y"}
+"""Shapes by the axes that confine them."""
+LEAST_STEP, MOST_STEPS = 0.5, 10
+"""[m] Smallest distance between the centres that are tried, and largest number of them along an axis (cost)."""
+LEAST_PASSING, MOST_PASSING = 6, 0.8
+"""Smallest number, and largest share, of the lines of sight that pass a region that is tried: what fewer lines pass is
+an error of single readings, what almost all pass an error of the whole recording."""
+LEAST_TARGETS = 2
+"""Smallest number of targets behind it: what lies on the lines to one target alone is an error of that target."""
+MOVES, FACTORS = (0.5, 0.15), (0.7, 1.4)
+"""Moves of a centre, in widths, and factors on the width, by which a region is refined."""
+PARALLEL = 1e-9
+"""Squared sine below which a line runs along a region and stays in it."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Gaussian region of the hall.
+
+    Attributes
+    ----------
+    axes : str
+        Axes that confine it, a key of `SHAPES`.
+    centre : tuple of float
+        Coordinates [m] along these axes, network frame.
+    width : float
+        Standard deviation [m].
+    """
+
+    axes: str
+    centre: tuple[float, ...]
+    width: float
+
+    def path(self, sightings: Sightings) -> Floats:
+        """Length (n,) [m] of each line of sight in the region: the integral of w."""
+        axes = ["xyz".index(axis) for axis in self.axes]
+        beam, length = sightings.unit_vectors[0][:, axes], sightings.range_
+        start = sightings.position[sightings.station][:, axes] - np.asarray(self.centre)
+        a = np.einsum("ni,ni->n", beam, beam)
+        path = length * np.exp(-0.5 * np.einsum("ni,ni->n", start, start) / self.width**2)
+        crossing = a > PARALLEL
+        nearest, rho = _approach(start[crossing], beam[crossing], a[crossing])
+        path[crossing] = _integral(nearest, rho, length[crossing], self.width / np.sqrt(a[crossing]), self.width)
+        return path
+
+    def bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
+        """Of a ball: path (n,) [m], and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
+
+        The part of r - c across a straight line is constant, rho, so that the second is -rho / width^2 times the
+        integral of (d - s) w.
+        """
+        beam, length, width = sightings.unit_vectors[0], sightings.range_, self.width
+        start = sightings.position[sightings.station] - np.asarray(self.centre)
+        nearest, rho = _approach(start, beam, np.ones(len(beam)))
+        path = _integral(nearest, rho, length, np.full(len(beam), width), width)
+        ends = np.exp(-0.5 * (nearest / width) ** 2) - np.exp(-0.5 * ((length - nearest) / width) ** 2)
+        lever = (length - nearest) * path - width**2 * ends * np.exp(-0.5 * np.sum(rho**2, axis=1) / width**2)
+        return path, -rho * (lever / width**2)[:, None]
+
+    def neighbours(self) -> Iterator["Region"]:
+        """Regions with a centre a little farther along or against each axis, and with another width."""
+        for i, move, sign in product(range(len(self.axes)), MOVES, (1.0, -1.0)):
+            centre = list(self.centre)
+            centre[i] = round(centre[i] + sign * move * self.width, 6)
+            yield replace(self, centre=tuple(centre))
+        for factor in FACTORS:
+            yield replace(self, width=round(self.width * factor, 6))
+
+
+def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
+    """Distance (n,) along each line to its nearest approach to the centre, and the vector (n, k) to the line there."""
+    nearest = -np.einsum("ni,ni->n", start, beam) / a
+    return nearest, start + nearest[:, None] * beam
+
+
+def _integral(nearest: Floats, rho: Floats, length: Floats, along: Floats, width: float) -> Floats:
+    """Integral (n,) of w over lines of a length, with standard deviations `along` (n,) them."""
+    share = ndtr((length - nearest) / along) - ndtr(-nearest / along)
+    integral: Floats = np.sqrt(2.0 * np.pi) * along * share * np.exp(-0.5 * np.sum(rho**2, axis=1) / width**2)
+    return integral
+
+
+def extent(sightings: Sightings) -> tuple[Floats, Floats]:
+    """Lowest and highest coordinates (3,) [m] of all stations and targets with a pointing."""
+    ends = np.vstack([sightings.position[sightings.station], sightings.points[sightings.target]])
+    return ends.min(axis=0, initial=np.inf), ends.max(axis=0, initial=-np.inf)
+
+
+def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> list[Region]:
+    """Regions of some shapes on a grid over the hall that some, but not almost all, lines of sight pass."""
+    if not len(sightings):
+        return []
+    low, high = extent(sightings)
+    step = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
+    regions = []
+    for axes in shapes:
+        at = ["xyz".index(axis) for axis in axes]
+        grids = [np.arange(low[i] + 0.5 * step, high[i], step) for i in at]
+        for centre in product(*(grid.tolist() for grid in grids)):
+            region = Region(axes, tuple(round(c, 6) for c in centre), round(0.5 * step, 6))
+            if is_distinctive(region, sightings):
+                regions.append(region)
+    return regions
+
+
+def is_distinctive(region: Region, sightings: Sightings) -> bool:
+    """True if enough lines of sight to several targets pass a region, and not almost all."""
+    passing = region.path(sightings) > region.width
+    count, targets = int(passing.sum()), len(np.unique(sightings.target[passing]))
+    return LEAST_PASSING <= count <= MOST_PASSING * len(sightings) and targets >= LEAST_TARGETS

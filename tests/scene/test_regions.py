@@ -1,0 +1,57 @@
+"""Regions of the hall: the path of lines of sight in them in closed form, and the grid that is tried."""
+
+import numpy as np
+import pytest
+
+from ltsim.scene.regions import SHAPES, Region, extent, is_distinctive, regions_of
+from tests.physics.effects.scenes import scene
+
+SCENE = scene()
+REGIONS = [Region(axes, tuple(1.0 + 0.3 * i for i in range(len(axes))), 0.4) for axes in SHAPES]
+
+
+def _sampled(region: Region) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, q, 3) along each line of sight, and w (n, q) there."""
+    share = np.linspace(0.0, 1.0, 4001)
+    start = SCENE.position[SCENE.station][:, None]
+    points = start + share[:, None] * (SCENE.range_[:, None, None] * SCENE.unit_vectors[0][:, None])
+    off = points[:, :, ["xyz".index(axis) for axis in region.axes]] - np.array(region.centre)
+    return points, np.exp(-0.5 * np.sum(off**2, axis=2) / region.width**2)
+
+
+@pytest.mark.parametrize("region", REGIONS, ids=lambda region: SHAPES[region.axes])
+def test_path_is_the_integral_along_the_line_of_sight(region: Region) -> None:
+    _, weight = _sampled(region)
+    expected = np.trapezoid(weight, dx=1.0 / 4000, axis=1) * SCENE.range_
+    assert region.path(SCENE) == pytest.approx(expected, abs=1e-6)
+    assert expected.max() > 0.1
+
+
+def test_bending_is_the_weighted_gradient_across_the_line_of_sight() -> None:
+    ball = Region("xyz", (1.0, 1.3, 1.6), 0.4)
+    points, weight = _sampled(ball)
+    gradient = -(points - np.array(ball.centre)) * (weight / ball.width**2)[:, :, None]
+    beam = SCENE.unit_vectors[0][:, None]
+    gradient = gradient - np.sum(gradient * beam, axis=2, keepdims=True) * beam
+    rest = SCENE.range_[:, None, None] * (1.0 - np.linspace(0.0, 1.0, 4001)[:, None])
+    expected = np.trapezoid(rest * gradient, dx=1.0 / 4000, axis=1) * SCENE.range_[:, None]
+    path, pull = ball.bending(SCENE)
+    assert path == pytest.approx(ball.path(SCENE), abs=1e-12)
+    assert pull == pytest.approx(expected, abs=1e-5)
+
+
+def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall() -> None:
+    low, high = extent(SCENE)
+    regions = regions_of(SCENE)
+    assert regions and len(set(regions)) == len(regions)
+    for region in regions:
+        assert is_distinctive(region, SCENE)
+        at = ["xyz".index(axis) for axis in region.axes]
+        assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])
+
+
+def test_neighbours_move_one_coordinate_or_the_width() -> None:
+    region = Region("xy", (2.0, 3.0), 0.5)
+    for other in region.neighbours():
+        changed = [a != b for a, b in zip((*other.centre, other.width), (*region.centre, region.width), strict=True)]
+        assert sum(changed) == 1 and other.width > 0
