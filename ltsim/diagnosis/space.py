@@ -47,7 +47,7 @@ AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag")
 """Kinds of drivers of one instrument, and of one set-up."""
 ONLY = {"product": ("reading",), "passage": ("reading",), "room": ("target",)}
 """Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
-TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "passage")
+TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage")
 """Kinds of drivers that several observables follow together: products of curves would have too many coefficients."""
 Drivers = Mapping[str, Sequence[Regressor]]
 

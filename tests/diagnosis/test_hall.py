@@ -1,4 +1,4 @@
-"""Causes that stand in the hall while lines of sight pass them, groups that move as one, and noise with a heavy tail."""
+"""Causes that stand in the hall, groups that move as one, joint responses, and noise with a heavy tail."""
 
 from __future__ import annotations
 

@@ -39,8 +39,11 @@ SIMPLE = {
     "saturated": lambda x, k: x / (k + np.abs(x)),
     "decay": lambda x, k: np.exp(-x / k),
     "fading": lambda x, k: np.exp(-np.abs(x) / k),
+    "saw": lambda x, k: np.remainder(x / k, 1.0) - 0.5,
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
+HYSTERESIS = "hysteresis"
+"""Function of the values of a covariate in the order of the work, and of half the width of its loop."""
 ZERO_FRACTION = 0.02
 """Share of its largest value up to which a column counts as zero."""
 
@@ -99,11 +102,29 @@ def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
 def function(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
     """A function (n, 1) of a covariate and a constant."""
     x = sightings.quantities[name]
+    if how == HYSTERESIS:
+        slack = play(x[sightings.order], constant)
+        values = np.empty_like(x)
+        values[sightings.order] = slack - x[sightings.order]
+        return unit_rms((values - values.mean())[:, None])
     if how == "power" and name in sightings.covariates and not has_zero(x):
         x = x - x.mean()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         values = SIMPLE[how](x, constant)
     return unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
+
+
+def play(x: Floats, half: float) -> Floats:
+    """Output (n,) of a play operator on a sequence (n,): it follows once the input has moved by `half` the slack.
+
+    The operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
+    """
+    output = np.empty_like(x)
+    now = float(x[0]) if len(x) else 0.0
+    for i, value in enumerate(x.tolist()):
+        now = min(max(now, value - half), value + half)
+        output[i] = now
+    return output
 
 
 def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:

@@ -35,8 +35,10 @@ ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-ele
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
 nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "fading", "relaxing", "saturated", "lagging")
+SCALED = ("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw")
 """Functions and kinds with a constant that is known to a factor at first."""
+SAWS = np.array([1.0, 0.5, 0.25, 0.125])
+"""Periods of saw teeth over a covariate's span."""
 OF_SPAN = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
 
@@ -252,6 +254,7 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Re
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     tried += [("decay", times)] if name == "lapse" else []
     if not few:
+        tried.append(("saw", SAWS * float(np.ptp(sightings.quantities[name]))))
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
         tried += [("decay", times)] if name in CLOCKS else []
         tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []

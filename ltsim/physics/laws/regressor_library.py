@@ -52,6 +52,8 @@ on the pointing of a tracker; its stand does, for a head is never quite in balan
 holds the reflector."""
 DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
+HALF_LOOPS = np.array([0.05, 0.15, 0.3])
+"""Half-widths of hystereses over a covariate's span."""
 MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
 """[s] Lags that are tried: of detectors, of parts of an instrument, of stands, of walls and floors."""
 FEW_VISITS, MOST_VISITS, MOST_AMOUNTS = 3, 12, 60
@@ -78,6 +80,7 @@ DEPTHS = {
     "memory": 1,
     "lag": 1,
     "amounts": 1,
+    "shape": 1,
     "passage": 1,
     "room": 1,
     "product": 2,
@@ -109,6 +112,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
     s, columns = sightings, further(sightings)
     base = _varying(s, (*BASE, *columns, *_CIRCLES, *_NEST))
     before = _varying(s, (*PRECEDING, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
+    turning = [n for n in base if n not in CLOCKS]  # a clock never turns back
     signs = [n for n in _varying(s, _SIGNS) if n != "seating-parity" or _signs_differ(s)]
     return {
         "constant": [CONSTANT],
@@ -124,6 +128,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "amounts": [*_each_visit(s, FEW_VISITS + 1), *_each_before(s)],
         "wave": list(waves(s)),
         "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_drivers(s), 2)],
+        "shape": [simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS],
         "passage": [passage(region) for region in regions_of(s)],
         "product": list(products(s)),
     }

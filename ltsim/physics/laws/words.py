@@ -51,6 +51,8 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "fading", None): "exp(-|{x}| / {value})",
     ("simple", "relaxing", None): "1 / (1 + {x} / {value})",
     ("simple", "saturated", None): "saturation({x}, half at {value})",
+    ("simple", "hysteresis", None): "hysteresis of {x} (half-width {value})",
+    ("simple", "saw", None): "a saw tooth in {x} with a period of {value}",
     ("simple", "step", None): "step({x} above {value})",
     ("simple", "ramp", None): "ramp({x} from {value})",
     ("simple", "power", -1.0): "1/{x}",

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import SIMPLE
+from ltsim.physics.laws.columns import HYSTERESIS, SIMPLE
 from ltsim.physics.laws.regressor_library import FOLLOWED, regressors_of
 from ltsim.physics.laws.regressors import CONSTANT, Regressor, across_the_room, amounts, passage, pieces, simple, smooth
 from ltsim.physics.laws.words import EXAMPLES, OWNERS, PHRASE_OF, describe, read_driver, read_law
@@ -34,6 +34,7 @@ def every() -> list[Regressor]:
     ]
     clocks = [simple("station-time", function, 480.0) for function in ("decay", "relaxing", "saturated")]
     clocks.append(simple("move-azimuth", "fading", 0.5))
+    clocks += [simple("elevation", "hysteresis", 0.5), simple("distance", "saw", 2.0)]
     found = [simple("press_load_kn" if f == "power" else "elevation", f, k) for f, k in named.items()]
     found += [CONSTANT, amounts("station", 5), Regressor("wave", ("azimuth",), constant=1.0), *edges, *clocks]
     found += [
@@ -54,7 +55,7 @@ def every() -> list[Regressor]:
 
 @pytest.mark.parametrize("clock", [True, False])
 def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -> None:
-    assert set(SIMPLE) <= {driver.function for driver in every()}
+    assert {*SIMPLE, HYSTERESIS} <= {driver.function for driver in every()}
     for driver in every():
         words = describe(driver, clock=clock)
         read = read_driver(words, recording.replace(has_clock=clock))
