@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from scipy.special import ndtr
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
 SHAPES = {"xyz": "ball", "xy": "column", "z": "height band", "x": "slab across x", "y": "slab across y"}
@@ -26,6 +26,8 @@ LEAST_TARGETS = 2
 """Smallest number of targets behind it: what lies on the lines to one target alone is an error of that target."""
 MOVES, FACTORS = (0.5, 0.15), (0.7, 1.4)
 """Moves of a centre, in widths, and factors on the width, by which a region is refined."""
+AT_ONCE = 300_000
+"""Lines of sight in regions that are in memory at a time: some tens of MB."""
 PARALLEL = 1e-9
 """Squared sine below which a line runs along a region and stays in it."""
 
@@ -50,15 +52,7 @@ class Region:
 
     def path(self, sightings: Sightings) -> Floats:
         """Length (n,) [m] of each line of sight in the region: the integral of w."""
-        axes = ["xyz".index(axis) for axis in self.axes]
-        beam, length = sightings.unit_vectors[0][:, axes], sightings.range_
-        start = sightings.position[sightings.station][:, axes] - np.asarray(self.centre)
-        a = np.einsum("ni,ni->n", beam, beam)
-        path = length * np.exp(-0.5 * np.einsum("ni,ni->n", start, start) / self.width**2)
-        crossing = a > PARALLEL
-        nearest, rho = _approach(start[crossing], beam[crossing], a[crossing])
-        path[crossing] = _integral(nearest, rho, length[crossing], self.width / np.sqrt(a[crossing]), self.width)
-        return path
+        return paths(sightings, self.axes, np.array([self.centre]), self.width)[0]
 
     def bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Of a ball: path (n,) [m], and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
@@ -84,16 +78,29 @@ class Region:
             yield replace(self, width=round(self.width * factor, 6))
 
 
+def paths(sightings: Sightings, axes: str, centres: Floats, width: float) -> Floats:
+    """Lengths (r, n) [m] of the lines of sight in regions of one shape and width, with centres (r, k)."""
+    at = ["xyz".index(axis) for axis in axes]
+    beam, length = sightings.unit_vectors[0][:, at], sightings.range_
+    start = sightings.position[sightings.station][:, at] - centres[:, None]
+    a = np.einsum("ni,ni->n", beam, beam)
+    path = length * np.exp(-0.5 * np.einsum("rni,rni->rn", start, start) / width**2)
+    crossing = a > PARALLEL
+    nearest, rho = _approach(start[:, crossing], beam[crossing], a[crossing])
+    path[:, crossing] = _integral(nearest, rho, length[crossing], width / np.sqrt(a[crossing]), width)
+    return path
+
+
 def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
-    """Distance (n,) along each line to its nearest approach to the centre, and the vector (n, k) to the line there."""
-    nearest = -np.einsum("ni,ni->n", start, beam) / a
-    return nearest, start + nearest[:, None] * beam
+    """Distance (..., n) along each line to its nearest approach to the centre, and the vector (..., n, k) to it."""
+    nearest = -np.sum(start * beam, axis=-1) / a
+    return nearest, start + nearest[..., None] * beam
 
 
 def _integral(nearest: Floats, rho: Floats, length: Floats, along: Floats, width: float) -> Floats:
-    """Integral (n,) of w over lines of a length, with standard deviations `along` (n,) them."""
+    """Integral (..., n) of w over lines of a length (n,), with standard deviations `along` (n,) them."""
     share = ndtr((length - nearest) / along) - ndtr(-nearest / along)
-    integral: Floats = np.sqrt(2.0 * np.pi) * along * share * np.exp(-0.5 * np.sum(rho**2, axis=1) / width**2)
+    integral: Floats = np.sqrt(2.0 * np.pi) * along * share * np.exp(-0.5 * np.sum(rho**2, axis=-1) / width**2)
     return integral
 
 
@@ -109,19 +116,22 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
         return []
     low, high = extent(sightings)
     step = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
-    regions = []
+    width, regions = round(0.5 * step, 6), []
     for axes in shapes:
         at = ["xyz".index(axis) for axis in axes]
-        grids = [np.arange(low[i] + 0.5 * step, high[i], step) for i in at]
-        for centre in product(*(grid.tolist() for grid in grids)):
-            region = Region(axes, tuple(round(c, 6) for c in centre), round(0.5 * step, 6))
-            if is_distinctive(region, sightings):
-                regions.append(region)
+        grids = [np.arange(low[i] + 0.5 * step, high[i], step).tolist() for i in at]
+        centres = np.array(list(product(*grids))).reshape(-1, len(at))
+        for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
+            inside = paths(sightings, axes, part, width) > width
+            chosen = part[_distinctive(inside, sightings)].round(6).tolist()
+            regions += [Region(axes, tuple(centre), width) for centre in chosen]
     return regions
 
 
-def is_distinctive(region: Region, sightings: Sightings) -> bool:
-    """True if enough lines of sight to several targets pass a region, and not almost all."""
-    passing = region.path(sightings) > region.width
-    count, targets = int(passing.sum()), len(np.unique(sightings.target[passing]))
-    return LEAST_PASSING <= count <= MOST_PASSING * len(sightings) and targets >= LEAST_TARGETS
+def _distinctive(passing: Bools, sightings: Sightings) -> Bools:
+    """Regions (r,) that enough lines of sight (r, n) to several targets pass, and not almost all."""
+    by_target = passing @ (sightings.target[:, None] == np.arange(len(sightings.points)))
+    count = passing.sum(axis=1)
+    enough = (count >= LEAST_PASSING) & (count <= MOST_PASSING * len(sightings))
+    distinctive: Bools = enough & (by_target.sum(axis=1) >= LEAST_TARGETS)
+    return distinctive
