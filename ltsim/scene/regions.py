@@ -55,7 +55,7 @@ class Region:
         return paths(sightings, self.axes, np.array([self.centre]), self.width)[0]
 
     def bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Of a ball: path (n,) [m], and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
+        """Path (n,) [m] in a ball, and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
 
         The part of r - c across a straight line is constant, rho, so that the second is -rho / width^2 times the
         integral of (d - s) w.

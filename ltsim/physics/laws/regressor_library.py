@@ -155,7 +155,7 @@ def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _steps(sightings: Sightings) -> list[Regressor]:
-    """One step in time, at pauses spread evenly over the work."""
+    """Steps in time, at pauses spread evenly over the work."""
     clock = np.unique(sightings.time)
     if len(clock) < MOST_CHANGES:
         return []
