@@ -12,6 +12,7 @@ from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibratio
 from ltsim.cli.places import RECORDING, Force
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.units import ARCSECOND, MICROMETRE
+from ltsim.physics.effects import title_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -83,7 +84,7 @@ def correct(
     if not instrument.names:
         terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
-        estimated = ", ".join(effect.effect for effect in instrument.effects)
+        estimated = ", ".join(title_of(effect.effect) for effect in instrument.effects)
         terminal.notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     corrected = lt.correct(recording, instrument, again=force)
     lt.write(corrected, out)

@@ -238,6 +238,7 @@ def calibrated(out: Path, seed: int) -> str:
 def diagnosed(out: Path, seed: int) -> str:
     """Inject an effect into another recording and diagnose it."""
     from ltsim.core.randomness import stream
+    from ltsim.physics.effects import title_of
 
     entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
@@ -245,7 +246,7 @@ def diagnosed(out: Path, seed: int) -> str:
     diagnosis = lt.diagnose(recording, seed=seed, held_out=True)
     lt.write(diagnosis, folder, recording=recording)
     lt.write(truth, folder / "truth.json")
-    return f"injected: {entry['name']} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
+    return f"injected: {title_of(entry['name'])} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
 
 
 def repeated(out: Path, seed: int) -> str:

@@ -11,7 +11,7 @@ from ltsim.diagnosis.findings import among, place_of
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.prior import P_CAP_TESTS
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
-from ltsim.diagnosis.words import percent
+from ltsim.diagnosis.words import parameter_words, percent
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
@@ -63,11 +63,11 @@ def instrument_finding(contradiction: Contradiction) -> Finding:
         Estimate.of(p, contradiction.difference, contradiction.sigma),
         among(chances, _effect_of(p)),
     )
-    others = " or ".join(other.name.replace("-", " ") for other in contradiction.rivals if other != p)
+    others = " or ".join(parameter_words(other.name) for other in contradiction.rivals if other != p)
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
     ambiguity = f" These readings hardly distinguish it from {others}." if others else ""
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {owners} differs by "
+        f"The {parameter_words(p.name)} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.against}, "
         f"probability {percent(off)}.{ambiguity}"
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.notation import listing, with_sigma
 from ltsim.diagnosis.schema import Estimate, Finding, InstrumentEntry, Misfit, Where
-from ltsim.physics.effects import card_of, find_effect
+from ltsim.physics.effects import card_of, find_effect, title_of
 
 MOST_NAMED = 4
 """Estimates that a sentence names at most."""
@@ -28,13 +28,24 @@ def estimates(parameters: Sequence[Estimate]) -> str:
     return ", ".join(_estimate(p) for p in chosen)
 
 
+def effect_words(name: str) -> str:
+    """Title of the effect of a finding within a sentence."""
+    return "physics outside the catalogue" if name == "unknown" else title_of(name)
+
+
+def parameter_words(name: str) -> str:
+    """Name of a parameter in a sentence: its words, with the functions written out."""
+    words = name.replace("_", " ").replace("-", " ").split()
+    return " ".join({"cos": "cosine", "sin": "sine"}.get(word, word) for word in words)
+
+
 def _estimate(parameter: Estimate) -> str:
     """Text of an estimate; for an added variance the factor on the declared standard deviation."""
-    name, value, sigma = parameter.name.replace("_", " "), parameter.value, parameter.sigma
+    name, value, sigma = parameter.name, parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
         return f"{name[6:]}s scatter {with_sigma(factor, 0.5 * sigma / max(factor, 0.1))} times as much as declared"
-    return f"{name} {with_sigma(value, sigma)} {parameter.unit}".strip()
+    return f"{parameter_words(name)} {with_sigma(value, sigma)} {parameter.unit}".strip()
 
 
 def place(where: Where) -> str:
@@ -114,7 +125,7 @@ def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
             entries.append((name, used, combination.value / weight, sigma, combination.unit))
         of = entry.name or "the instrument"
         for name, used, value, sigma, unit in entries:
-            plain = f"{name.replace('-', ' ')}{used} of {of}: {with_sigma(value, sigma)} {unit}"
+            plain = f"{parameter_words(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
     return [words for times, words in ranked if times > CLEAR][:MOST_CONSTANTS]
@@ -154,7 +165,7 @@ def summarise(
         )
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
-    others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
+    others = [effect_words(e.effect) for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
     further = "1 further effect is" if withheld == 1 else f"{withheld} further effects are"
     rest = f" {further} in the model but not reported (small or uncertain)." if withheld else ""

@@ -101,15 +101,15 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
     }  # fmt: skip
     (place / "truth.json").write_text(json.dumps(truth))
     content = document(place)
-    assert content.notice.startswith("This recording is simulated, with station-settling (S3) injected on purpose")
+    assert content.notice.startswith("This recording is simulated, with settling of a station (S3) injected")
     html = render(content)
     assert html.index(content.notice) < html.index('<div class="answer')
     scene, curves, table = content.sections[0].blocks[:3]
     assert [scene.kind, curves.kind, table.kind] == ["scene", "picture", "table"]
     rows = {row[0]: row[1:] for row in table.rows}
-    assert rows["effect"] == ["station-settling", "station-settling"]
+    assert rows["effect"] == ["settling of a station"] * 2
     assert rows["where"] == ["S3", "S3"]
-    assert rows["tilt-x [urad]"] == ["25.0", "12.1 +- 1.8"]
+    assert rows["tilt x [urad]"] == ["25.0", "12.1 +- 1.8"]
     assert rows["time constant [min]"][0] == "9.00"
 
 

@@ -32,7 +32,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Columns, Result
 from ltsim.core.values import ValueEquality
-from ltsim.physics.effects import find_effect
+from ltsim.physics.effects import find_effect, title_of
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import each_of
@@ -203,15 +203,17 @@ class NextMeasurement(Result):
         now, then = (
             listed([f"{values[name]:.0f}" for name in distinguished]) for values in (self.evidence_now, best.evidence)
         )
-        values = {"first": self.between[0], "others": listed(distinguished), "then": then}
+        titles = {name: title_of(name) for name in self.between}
+        others = listed([titles[name] for name in distinguished])
+        values = {"first": titles[self.between[0]], "others": others, "then": then}
         if not best.distinguished:
             return advice("undecided", needed=DECISIVE, **values)
         sentence = advice("decided", do=best.remedy.words, now=now, **values)
-        remaining = [name for name in self.between[1:] if name not in distinguished]
+        remaining = [titles[name] for name in self.between[1:] if name not in distinguished]
         return sentence + (advice("left open", others=listed(remaining)) if remaining else "")
 
     def _lines(self) -> list[str]:
-        question = f" between {listed(self.between)}" if self.between else ""
+        question = f" between {listed([title_of(name) for name in self.between])}" if self.between else ""
         return [f"Next measurement{question}: {self.proposals[0].remedy.words}, of {len(self.proposals)} proposals"]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:

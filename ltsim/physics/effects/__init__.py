@@ -2,6 +2,7 @@
 
 from importlib import import_module
 
+from ltsim.core.errors import ModelError
 from ltsim.physics.effects.catalogue import Card as Card, Catalogue, Listed as Listed, card_of as card_of
 from ltsim.physics.effects.effect import (
     Effect as Effect,
@@ -44,6 +45,16 @@ CATALOGUE = Catalogue(GROUPS)
 """Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""
 
 find_effect = CATALOGUE.find
+
+
+def title_of(name: str) -> str:
+    """Title of an effect for the middle of a sentence; a name that no catalogue has without its hyphens."""
+    try:
+        title = card_of(find_effect(name)).title
+    except ModelError:
+        return name.replace("-", " ")
+    return f"{title[0].lower()}{title[1:]}"
+
 
 _ORDINARY = (
     "range-offset range-scale transit-offset beam-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -12,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.calibration.schema import RESIDUALS
-from ltsim.core.errors import LtsimError, ModelError
+from ltsim.core.errors import LtsimError
 from ltsim.core.notation import NONE, number, with_sigma
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.units import FACTOR
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Misfit, Where
-from ltsim.diagnosis.words import clear_constants
-from ltsim.physics.effects import card_of, find_effect
+from ltsim.diagnosis.words import clear_constants, effect_words, parameter_words
+from ltsim.physics.effects import title_of
 from ltsim.physics.effects.verbs import effect_from
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import check_source
@@ -91,7 +90,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
-        what = listing([f"{a.effect.name} ({_place_of(a.effect)})" for a in truth.effects])
+        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.effects])
         notice = f"This recording is simulated, with {what} injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
@@ -122,12 +121,9 @@ def _inspection(finding: Finding) -> str:
     if finding.carrier.startswith("reference"):
         return f"Check the {finding.carrier} ({place})."
     follows = f" with {listing(where.covariates)}" if where.covariates else ""
-    title = f"change of the {finding.carrier or 'readings'}{follows}"
-    if finding.is_catalogued:
-        title = finding.effect
-        with suppress(ModelError):  # an effect of somebody else's catalogue
-            title = card_of(find_effect(finding.effect)).title
-    return f"Inspect {place} for the cause: {title[0].lower()}{title[1:]}."
+    change = f"change of the {finding.carrier or 'readings'}{follows}"
+    title = title_of(finding.effect) if finding.is_catalogued else change
+    return f"Inspect {place} for the cause: {title}."
 
 
 def _swapped(finding: Finding) -> bool:
@@ -169,7 +165,7 @@ def _finding(
     finding: Finding, number_: int, answer: str, pair: Pair | None, residuals: tuple[Residuals | None, Residuals | None]
 ) -> list[Block]:
     """Blocks of a finding: its sentence unless it is in the answer, figure, place, and table of values."""
-    name = finding.effect if finding.is_catalogued else "effect outside the catalogue"
+    name = effect_words(finding.effect)
     words = finding.sentence or f"{name} {_place(finding.where)}"
     cure = f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
@@ -184,13 +180,13 @@ def _finding(
         blocks.append(Picture(f"Effect of finding {number_}", drawn, text))
     blocks += _whereabouts(finding, number_, pair)
     evidence = finding.evidence
-    rows = [[p.name.replace("_", " "), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
+    rows = [[parameter_words(p.name), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
     rows += [
         ["where", _place(finding.where)],
         ["chi2 falls by", f"{number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"],
         ["p, corrected for the search", p_text(evidence.p_value)],
         ["probability", f"{100 * evidence.probability:.3g} %"],
-        *([f"alternative: {e.effect}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
+        *([f"alternative: {effect_words(e.effect)}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
     ]
     return [*blocks, Grid(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
 
@@ -274,7 +270,7 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
     worst = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
     rows = [
         [
-            u.effect,
+            title_of(u.effect),
             number(u.undetected_target_error_um, 2),
             number(u.detectable_at_factor, 2) if u.detectable_at_factor else "never",
         ]
@@ -319,14 +315,18 @@ def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[
     values = {} if finding is None else {p.name: p for p in finding.parameters}
     where = [_place_of(x) if x else NONE for x in (injected and injected.effect, finding and finding.where)]
     rows = [
-        ["effect", injected.effect.name if injected else NONE, finding.effect if finding else "not detected"],
+        [
+            "effect",
+            title_of(injected.effect.name) if injected else NONE,
+            effect_words(finding.effect) if finding else "not detected",
+        ],
         ["where", *where],
     ]
     for name in dict.fromkeys([*true, *values]):
         estimate = values.get(name)
         value, unit = true.get(name, (None, estimate.unit if estimate else ""))
         text = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
-        rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), text])
+        rows.append([f"{parameter_words(name)} [{unit}]" if unit else parameter_words(name), number(value), text])
     return rows
 
 
@@ -351,7 +351,8 @@ def _curves(content: DiagnosisFile, applied: AppliedEffect, pair: Pair | None) -
     at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
     hid, got = (shift[rows, column] / FACTOR[unit] for shift in (true, fitted))
     names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typeset(unit)}]"
-    text = f"Change of the {observable} readings by {injected.name} ({_place_of(injected)}): injected and estimated."
+    cause = f"{title_of(injected.name)} ({_place_of(injected)})"
+    text = f"Change of the {observable} readings by {cause}: injected and estimated."
     return [
         Picture("Injected and estimated", lambda: figures.residuals.injected_and_estimated(at, hid, got, *names), text)
     ]
