@@ -3,8 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal
 
+from pydantic import Field
+
 from ltsim.core.results import Result, Table, columns_of
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, ResultFile
 from ltsim.recordings.specification import Specification
 
 
@@ -17,7 +19,7 @@ class TestEntry(Entry):
     """Name of the test."""
     group: str
     """Group of the test: lengths of one position, two-face tests, ..."""
-    limit_um: Finite
+    limit_um: Positive
     """Maximum permissible error by the manufacturer's specification [um]."""
     error_um: Finite
     """Expected or measured error [um]; of a two-face test the distance across the beam."""
@@ -103,9 +105,9 @@ class AcceptanceFile(ResultFile, Result):
     """Chance to pass every test; 1 or 0 where errors were found."""
     sentence: str
     """The answer."""
-    groups: tuple[GroupEntry, ...]
+    groups: tuple[GroupEntry, ...] = Field(min_length=1)
     """Tests by group."""
-    tests: tuple[TestEntry, ...]
+    tests: tuple[TestEntry, ...] = Field(min_length=1)
     """All of them."""
     sensitivities: tuple[SensitivityEntry, ...] = ()
     """Sensitivity of the tests to each constant of the instrument."""

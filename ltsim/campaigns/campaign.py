@@ -22,7 +22,7 @@ from joblib import Parallel, delayed, parallel_config
 from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
 from ltsim.campaigns.rows import ShardTask, rows_of, run_task
-from ltsim.campaigns.schema import CellEntry, ManifestFile
+from ltsim.campaigns.schema import CellEntry, ManifestFile, ScenarioSettings
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, cad_files, cells_of, load_campaign, local_file, read_cad
 from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
@@ -251,7 +251,9 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
         processor=processor(),
         commit=commit(),
         settings=campaign.model_dump(mode="json", by_alias=True),
-        scenarios=tuple(cell.scenario.model_dump(mode="json", by_alias=True) for cell in cells),
+        scenarios=tuple(
+            ScenarioSettings.model_validate(cell.scenario.model_dump(mode="json", by_alias=True)) for cell in cells
+        ),
     )
 
 

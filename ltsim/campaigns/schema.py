@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from ltsim.campaigns.design import Factor
 from ltsim.core.results import Column, Table, columns_of, numbers, texts
@@ -203,6 +203,26 @@ TRIALS = Table(
 )
 
 
+class TrackerSettings(Entry):
+    """Tracker of a scenario, with all settings that the scenario gives it."""
+
+    model_config = ConfigDict(extra="allow")
+
+    preset: str
+    """Name of its data sheet or preset."""
+
+
+class ScenarioSettings(Entry):
+    """Scenario of a cell, with all its settings."""
+
+    model_config = ConfigDict(extra="allow")
+
+    instrument: TrackerSettings
+    """Tracker of the stations that name none."""
+    instruments: dict[str, TrackerSettings] = Field(default_factory=dict)
+    """Trackers by name."""
+
+
 class CellEntry(Entry):
     """Cell of the grid."""
 
@@ -246,7 +266,7 @@ class ManifestFile(ResultFile):
     """Commit of ltsim's checkout, where it runs from one."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """The campaign file."""
-    scenarios: tuple[dict[str, Any], ...] = ()
+    scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell."""
 
 

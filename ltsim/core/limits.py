@@ -52,13 +52,14 @@ SHEETS = 200
 
 CAD_BYTES = 512 * MIB
 """[bytes] Size of a CAD file."""
-CAD_MEMORY = 350 * MIB
+CAD_MEMORY = 250 * MIB
 """[bytes] Memory that the process that reads a CAD file takes beyond its libraries, 125 MB; in proportion more
-for a file of more than `FILE_BYTES`."""
+for a file of more than `FILE_BYTES`. The process that waits for it takes 110 MB."""
 CAD_SECONDS = 25
 """[s] Processor time of that process, likewise."""
 SMALL_CAD_BYTES = MIB // 2
 """[bytes] Size up to which an OBJ or PLY file is read without a process of its own: a polygon of many corners makes 360
 bytes of each byte."""
-TRIANGLES = 500_000
-"""Triangles of a CAD file, those of each instance counted: 600 bytes each while corners are brought together."""
+TRIANGLES = 200_000
+"""Triangles of a CAD file, those of each instance counted: 700 bytes each while they are read, 1,500 in a hall whose
+sights they may hide."""

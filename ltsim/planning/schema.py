@@ -7,7 +7,7 @@ from pydantic import Field
 from ltsim.calibration.schema import Combination
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Vector
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 Qualities = dict[str, OptionalFloat]
 
@@ -67,7 +67,7 @@ class PlannedParameterEntry(Entry):
     """Unit of both standard deviations."""
     sigma: Finite
     """Expected standard deviation after calibration."""
-    prior_sigma: Finite
+    prior_sigma: Positive
     """Standard deviation before any reading."""
     gain: OptionalFloat = None
     """Share of the prior variance that the readings would remove."""

@@ -4,10 +4,10 @@ import csv
 import functools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
@@ -57,6 +57,13 @@ class Specification(TomlSection):
     """Limit of the error of the zero of the ranges (e_R0)."""
     noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
     """Share of the variance that is noise; the rest is of the instrument's constants."""
+
+    @model_validator(mode="after")
+    def _permits_errors(self) -> Self:
+        for kind in ("transverse", "range"):
+            if not getattr(self, f"{kind}_um") and not getattr(self, f"{kind}_um_per_m"):
+                raise ValueError(f"it should not be 0 in both {kind}_um and {kind}_um_per_m")
+        return self
 
     def across(self, range_: Floats) -> Floats:
         """Limit [m] of a point's error across the beam at ranges [m]."""

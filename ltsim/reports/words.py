@@ -1,13 +1,19 @@
 """Text formatting shared by sections and figures."""
 
+from __future__ import annotations
+
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ltsim.core.notation import listing as listing
 from ltsim.core.probability import AGREEMENT_LEVEL, format_p, two_sided
+
+if TYPE_CHECKING:
+    from ltsim.campaigns.schema import ScenarioSettings
+    from ltsim.simulation.scenario import Scenario
 
 QUALITY = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
@@ -33,10 +39,10 @@ def duration(seconds: float) -> str:
     return f"{hours} h {rest:02d} min"
 
 
-def of_presets(scenarios: Iterable[Mapping[str, Any]]) -> str:
+def of_presets(scenarios: Iterable[Scenario | ScenarioSettings]) -> str:
     """Presets of the trackers in scenarios, as text."""
-    trackers = [t for s in scenarios for t in (*s.get("instruments", {}).values(),) or (s["instrument"],)]
-    return ", ".join(f"preset {name}" for name in dict.fromkeys(t["preset"] for t in trackers))
+    trackers = [t for s in scenarios for t in (*s.instruments.values(),) or (s.instrument,)]
+    return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
 
 
 def count(number: int, singular: str, many: str = "") -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError, installed
 from ltsim.core.limits import CAD_BYTES, MIB
 from ltsim.core.units import FACTOR
@@ -32,6 +32,8 @@ BEYOND = 0.05
 """[m] Distance by which a body may reach beyond the room or below its floor."""
 PER_METRE = 1e5
 """Corners lie on a grid of 10 um: single precision, as STL and glTF have it, keeps no more over 40 m."""
+BLOCK = 1 << 16
+"""Triangles that are put on the grid together: what lies between takes memory for so many alone."""
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns y up to z up: x stays, y becomes z, z becomes -y."""
 
@@ -85,14 +87,22 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 @lru_cache(maxsize=8)
 def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file whose numbers are `factor` metres, whatever its format and order."""
-    triangles = factor * _as_written(path, factor)
+    triangles = _as_written(path, factor)
+    parts = range(0, len(triangles), BLOCK)
+    corners = np.concatenate([_on_grid(factor * triangles[start : start + BLOCK], up) for start in parts])
+    del triangles  # each array of a large file takes a tenth of the memory
+    settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / PER_METRE
+    settled.flags.writeable = False
+    return settled
+
+
+def _on_grid(triangles: Floats, up: str) -> Ints:
+    """Corners (k, 9) on the grid of the triangles (m, 3, 3) [m] that are not degenerate, each from its first corner."""
     corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
     whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
-    settled: Floats = np.unique(corners[whole].reshape(-1, 9), axis=0).reshape(-1, 3, 3) / PER_METRE
-    settled.flags.writeable = False
-    return settled
+    return corners[whole].reshape(-1, 9)
 
 
 def _as_written(path: Path, factor: float) -> Floats:

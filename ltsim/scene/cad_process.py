@@ -125,8 +125,14 @@ def loaded(content: bytes, suffix: str) -> Floats:
 
         kind = cascadio.FileType.STEP if suffix in EXACT[:2] else cascadio.FileType.IGES
         content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=DEVIATION), ".glb"
-    mesh: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
-    return np.array(mesh.triangles, dtype=np.float64)
+    mesh: Any = trimesh.load(
+        BytesIO(content),
+        file_type=suffix[1:],
+        force="mesh",
+        skip_materials=True,
+        process=False,  # corners are brought together by the caller
+    )
+    return np.asarray(mesh.triangles, dtype=np.float64)
 
 
 @contextmanager

@@ -87,11 +87,22 @@ def test_tables_with_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> N
     assert answers[0]["tests"][0]["error_um"] == -12.5
 
 
+PERMITS_NOTHING = """standard = "asme-b89.4.19-2006"
+[specification]
+transverse_um = {transverse}
+transverse_um_per_m = 0
+range_um = {range}
+range_um_per_m = 0
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "plan", "found", "said"),
     [
         ('standard = "asme-b89.4.19-2006"', PLAN, "", "instrument or the table [specification]"),
         ('instrument = "leica-at500"', PLAN, "", "either standard or tests"),
+        (PERMITS_NOTHING.format(range=0, transverse=1), PLAN, "", "not be 0 in both range_um and range_um_per_m"),
+        (PERMITS_NOTHING.format(range=1, transverse=0), PLAN, "", "0 in both transverse_um and transverse_um_per_m"),
         ('instrument = "leica-at5"\nstandard = "asme-b89.4.19-2006"', PLAN, "", "did you mean leica-at500"),
         ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("two-face", "face"), "", "kind is 'face'"),
         (

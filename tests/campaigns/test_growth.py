@@ -119,7 +119,7 @@ def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run([*command, "work.faces=2", "--set", "trials=8", "--set", "instrument.noise_factor=1.0"]) == 0
     results = Results(out)
     assert results.manifest.trials == 8 and [level["noise_factor"] for level in results.levels] == [1.0]
-    assert results.manifest.scenarios[0]["work"]["faces"] == 2
+    assert results.manifest.scenarios[0].model_dump()["work"]["faces"] == 2
     assert run_campaign(out / "campaign.toml", out, resume=True).shards == 0
     for wrong in ("work.faces", "work.faces=3", "work.face=2"):
         assert run([*command, wrong, "--out", str(tmp_path / "no")]) == 2

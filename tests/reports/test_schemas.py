@@ -99,6 +99,48 @@ def test_other_damaged_files_get_one_sentence(name: str, text: str, words: str, 
     assert "\n" not in str(caught.value)
 
 
+ACCEPT: dict[str, Any] = {
+    "format": "ltsim-accept/1",
+    "kind": "measured",
+    "plan": "plan.csv",
+    "specification": {"transverse_um": 1, "transverse_um_per_m": 1, "range_um": 1, "range_um_per_m": 1},
+    "passes": 1,
+    "sentence": "all errors are within their limits",
+    "groups": [{"name": "bar", "tests": 1, "passes": 1, "largest_share": 0.5}],
+    "tests": [{"name": "bar", "group": "bar", "limit_um": 10, "error_um": 5, "passes": 1}],
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: None, ""),
+        (lambda c: c["tests"][0].update(limit_um=0), r"tests\.0\.limit_um: Input should be greater than 0"),
+        (lambda c: c.update(tests=[]), "tests: Tuple should have at least 1 item"),
+        (lambda c: c.update(groups=[]), "groups: Tuple should have at least 1 item"),
+        (lambda c: c["specification"].update(range_um=0, range_um_per_m=0), "0 in both range_um and range_um_per_m"),
+    ],
+)
+def test_figures_that_others_are_divided_by_are_not_0(change: Any, words: str, tmp_path: Path) -> None:
+    content = json.loads(json.dumps(ACCEPT))
+    change(content)
+    (tmp_path / "accept.json").write_text(json.dumps(content))
+    if not words:
+        report(tmp_path)
+        return
+    with pytest.raises(RecordError, match=words):
+        report(tmp_path)
+
+
+def test_a_scenario_of_a_campaign_has_a_tracker(tmp_path: Path) -> None:
+    file = samples.campaign_folder(tmp_path / "made") / "manifest.json"
+    content = json.loads(file.read_text())
+    content["scenarios"] = [{"instrument": {}}]
+    file.write_text(json.dumps(content))
+    with pytest.raises(LtsimError, match=r"scenarios\.0\.instrument\.preset: Field required"):
+        report(file.parent)
+
+
 def test_ragged_history_gets_one_sentence(tmp_path: Path) -> None:
     file = samples.history_folder(tmp_path / "made") / "history.json"
     content = json.loads(file.read_text())

@@ -74,7 +74,8 @@ def campaign_section(folder: Path) -> Section:
     blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
     blocks += [*_coverage(results, scores), *_statistics(results, spreads, ends)]
     blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
-    blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.scenarios, indent=1)))
+    scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios]
+    blocks.append(Listing("Scenarios of its cells", json.dumps(scenarios, indent=1)))
     versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
     return Section(
         title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",

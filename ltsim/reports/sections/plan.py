@@ -61,7 +61,7 @@ def plan_section(content: PlanResult, context: ReportContext) -> Section:
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
-        instrument=of_presets([scenario.model_dump()]) if scenario else "", measured="planned",
+        instrument=of_presets([scenario]) if scenario else "", measured="planned",
         axes="the workshop's",
     )  # fmt: skip
 
