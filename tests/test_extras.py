@@ -70,6 +70,7 @@ def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
     assert inside.tolist() == [True, False, True, False]
 
 
+@pytest.mark.long
 def test_pictures_do_without_the_packages_of_campaigns() -> None:
     missing = "import sys; sys.modules.update(dict.fromkeys(('duckdb', 'numba', 'pyarrow')))"
     without = f"{missing}; import ltsim.reports.plots"

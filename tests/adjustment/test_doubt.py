@@ -45,6 +45,7 @@ def test_a_sound_recording_has_no_doubts() -> None:
     lt.adjust(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
 
 
+@pytest.mark.long
 def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
     recording = noisy()
     with pytest.raises(NetworkError, match=r"contradict each other .* they fit as gon, not degrees"):

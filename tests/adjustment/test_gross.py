@@ -61,6 +61,7 @@ def test_faces_follow_the_raw_elevation() -> None:
     assert correct_faces(recording) == (recording, [])
 
 
+@pytest.mark.long
 def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     recording, _ = network(seed=5)
     s = recording.stations

@@ -135,6 +135,7 @@ def scene(**changes: Any) -> lt.Scenario:
     return lt.scenario("paper-workshop", table)
 
 
+@pytest.mark.long
 def test_simulated_certificates_err_as_they_say_and_together() -> None:
     gaps, spread = [], np.zeros((0, 0))
     for seed in range(250):

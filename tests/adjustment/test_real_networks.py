@@ -110,6 +110,7 @@ def test_the_arc_adjusts_with_all_statistics():
     assert np.nansum(redundancy) == pytest.approx(found.dof, abs=0.01)
 
 
+@pytest.mark.long
 def test_two_faces_of_a_total_station_on_marks():
     found = adjust(read(DATA / "geoeasy-total-station-22st" / "network.GSI"), variance_components="observable")
     assert found.solution.converged

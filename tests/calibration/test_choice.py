@@ -39,6 +39,7 @@ def test_only_chosen_parameters_are_estimated(recording: Recording, method: str)
     assert np.all(found.sigma[~found.held] > 0.0)
 
 
+@pytest.mark.long
 def test_holding_at_the_truth_is_as_good_as_leaving_the_parameter_out(recording: Recording) -> None:
     """Held at zero, a parameter that is zero changes nothing against a construction that lacks it."""
     whole = misalignment()
@@ -131,6 +132,7 @@ def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, si
     assert with_parameters("dh", built.names).names == built.names
 
 
+@pytest.mark.long
 def test_the_command_line_has_the_same_choices(recording: Recording, tmp_path: Path, capsys) -> None:
     write(recording, tmp_path / "rec")
     first = ["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "first"), "-q"]

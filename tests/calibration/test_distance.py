@@ -130,6 +130,7 @@ def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
     assert np.mean(total) == pytest.approx(16, abs=4 * np.sqrt(2 * 16 / trials) + (0.8 if norm == "absolute" else 0))
 
 
+@pytest.mark.long
 def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     """Errors of 40 adjusted clouds in the first station's frame, normalised by their stated covariance."""
     scores, wider, chances = [], [], []

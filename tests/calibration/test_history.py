@@ -90,6 +90,7 @@ def test_a_changed_parameter_is_found_and_named():
     assert history.constancy(6).p_value > 1e-3
 
 
+@pytest.mark.long
 def test_three_calibrations_do_not_look_more_alike_than_they_are():
     """The restricted likelihood: the spread about a mean that is found from the same calibrations, unbiased."""
     rng, ratios = stream(9, "few"), []

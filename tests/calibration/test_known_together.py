@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import ltsim as lt
 from ltsim.calibration.evidence import determined
@@ -31,6 +32,7 @@ def test_parameters_that_are_known_alone_make_no_combination() -> None:
     assert not determined(parameters, np.zeros(4), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-12)
 
 
+@pytest.mark.long
 def test_a_single_face_tells_the_index_with_others_and_the_file_and_page_say_so(tmp_path: Path, capsys) -> None:
     recording, _ = network(faces=1, seed=6)
     found = lt.calibrate(recording)

@@ -31,6 +31,7 @@ def with_modes(seed: int) -> Recording:
     return recording.with_readings(readings).replace(labels={"distance_mode": modes})
 
 
+@pytest.mark.long
 def test_a_range_zero_a_mode_is_estimated_and_told(tmp_path: Path) -> None:
     write_recording(with_modes(8), tmp_path)
     found = calibrate_network(read_recording(tmp_path))
@@ -42,6 +43,7 @@ def test_a_range_zero_a_mode_is_estimated_and_told(tmp_path: Path) -> None:
     assert write_calibration(found, tmp_path / "out") is not None
 
 
+@pytest.mark.long
 def test_the_diagnosis_names_the_mode() -> None:
     first = diagnose(with_modes(8)).findings[0]
     assert (first.effect, first.where.covariates) == ("range-mode", ("distance_mode",))
@@ -53,6 +55,7 @@ def test_one_mode_has_one_zero() -> None:
     assert "distance_mode" not in one.circumstances
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("calibrate", [lt.adjust, partial(calibrate_distance, advise=False)])
 def test_what_assumes_one_zero_for_both_says_so(calibrate: Callable[[Recording], Calibration]) -> None:
     assert "one range zero assumed for both" in calibrate(with_modes(8)).notes[0]

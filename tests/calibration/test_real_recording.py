@@ -43,6 +43,7 @@ def test_parameters_carry_over_to_the_other_set_up(epoch: Recording, learned: in
     assert after < 0.5 * before, f"{1e6 * before:.1f} um before, {1e6 * after:.1f} um after"
 
 
+@pytest.mark.long
 def test_whole_epoch_gives_parameters_with_uncertainty(epoch: Recording) -> None:
     found = calibrate_network(epoch)
     tilt = found.names.index("beam-tilt")
@@ -50,6 +51,7 @@ def test_whole_epoch_gives_parameters_with_uncertainty(epoch: Recording) -> None
     assert any("range-scale" in c.combination for c in found.undetermined)
 
 
+@pytest.mark.long
 def test_from_the_first_set_up_to_the_second_of_every_epoch_by_default(shared: Path) -> None:
     """Two-face differences of set-up 1 that the default calibration from set-up 0 removes, median over the epochs.
 

@@ -180,6 +180,7 @@ def recorded(shared: Path, place: str, **options):
     return read(file, **options)
 
 
+@pytest.mark.long
 def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     recording = recorded(shared, "cern-lgc-trackers/20697_V2_Dirk_ESA_experimental.lgc")
     plain = lt.adjust(recording)
@@ -196,6 +197,7 @@ def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.long
 def test_desy_noise_and_the_nest_that_moved(shared: Path) -> None:
     place = "desy-girder-at960/Polar_measurements_24Feb22.txt"
     recording = recorded(shared, place, hints=Hints(azimuth="clockwise"))

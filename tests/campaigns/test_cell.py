@@ -87,6 +87,7 @@ def test_readings_of_every_scenario_are_those_of_simulate(name: str) -> None:
     assert np.mean(np.abs(gap) > 1e-12) < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("geometry", ["shared", "per-trial"])
 @pytest.mark.parametrize("method", ["network", "distance"])
 def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Cel
     assert np.array_equal(found.values[:, :, 5], single.values[:, :, 5])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("faces", [1, 2])
 def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     """Also where some readings are wrong by more than noise, but by less than what is screened out."""

@@ -128,6 +128,7 @@ def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert load_campaign(file, {"instrument.noise_factor": 3.0})[0].grid == {"instrument.noise_factor": [3.0]}
 
 
+@pytest.mark.long
 def test_many_cells_are_told_by_their_factors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "many.toml"
     levels = [1 + k / 100 for k in range(MOST_ROWS // 2 + 1)]

@@ -58,6 +58,7 @@ def rows(made: Campaign, scenario: Scenario = PAPER) -> dict[str, list[Any]]:
     return dict(shard_rows(ShardTask(made, scenario, "", 0, 0, judge)).to_pydict())
 
 
+@pytest.mark.long
 def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: Path) -> None:
     """Every trial's error there, against a recording of that place corrected by what the trial found."""
     made = campaign(judge_in="paper-laboratory", statistics=["errors", "estimates", "truth"], trials=6)
@@ -94,6 +95,7 @@ def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Pa
             judge_of(lost, PAPER, tmp_path / "campaign.toml")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["batch", "single"])
 def test_an_effect_of_the_session_is_fitted_taken_out_and_has_columns(solver: str) -> None:
     entry = [{"name": "slow-warp"}]
@@ -110,6 +112,7 @@ def test_an_effect_of_the_session_is_fitted_taken_out_and_has_columns(solver: st
     assert np.sqrt(np.mean(error[mine] ** 2)) < 0.9 * np.sqrt(np.mean(error[~mine] ** 2))
 
 
+@pytest.mark.long
 def test_what_calibrate_fits_is_taken_out_of_what_it_improves() -> None:
     """a8a5717 left it in: a fit that explains the readings made the improvement fall."""
     changes = {"effects": [{"name": "slow-warp", "values": {"rate": 60.0}}]}
@@ -127,6 +130,7 @@ def test_an_effect_of_the_session_is_checked() -> None:
         lt.add_effect(type("Mine", (SlowWarp,), {"name": "head-sag"}))
 
 
+@pytest.mark.long
 def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     methods = [{"method": "network"}, {"method": "distance"}]
     made = campaign(methods=methods, grid={"work.faces": [1, 2]}, statistics=["errors"], judge_in="paper-laboratory")

@@ -107,6 +107,7 @@ def described(result: Any) -> tuple[str, list[str]]:
     return repr(result), result.to_dataframe().columns.to_list()
 
 
+@pytest.mark.long
 def test_results_go_through_a_pool_of_processes(sweep: Any) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=3)
     calibration = lt.calibrate(recording)

@@ -62,6 +62,7 @@ def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, P
     assert set(rows[0]) < set(rows[1])
 
 
+@pytest.mark.long
 def test_stopping_is_the_same_with_two_workers_and_after_any_interruption(
     folders: tuple[Path, Path, Path], tmp_path: Path
 ) -> None:

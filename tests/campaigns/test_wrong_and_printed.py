@@ -33,6 +33,7 @@ def mean(found: dict[str, Any], column: str, method: str) -> float:
     return float(np.mean(found[column][found["method"] == method].astype(float)))
 
 
+@pytest.mark.long
 def test_the_batch_finds_the_minimum_of_equation_9_that_users_find() -> None:
     found = rows("work.faces", 1, 4, {"method": "equation-9"}, {"method": "equation-9-l1"})
     gaps = found["full_difference_sigma"].astype(float)
@@ -49,6 +50,7 @@ def test_a_wrong_prior_changes_what_is_stated_and_nothing_that_is_true() -> None
     np.testing.assert_array_equal(right.readings, stated.readings)
 
 
+@pytest.mark.long
 def test_what_is_applied_minds_a_wrong_prior_less_than_the_estimates() -> None:
     applied = {"name": "applied", "solver": "single", "applied": True}
     found = rows("instrument.prior_factor", 1000.0, 4, applied, {"name": "estimates"})

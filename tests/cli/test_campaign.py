@@ -20,6 +20,7 @@ verify = 1
 """
 
 
+@pytest.mark.long
 def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "noise.toml"
     file.write_text(FILE)
@@ -53,6 +54,7 @@ def test_a_wrong_campaign_file_is_exit_status_two(tmp_path: Path, capsys: pytest
     assert run(["campaign", str(tmp_path / "missing.toml")]) == 2
 
 
+@pytest.mark.long
 def test_the_example_can_be_printed_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["campaign", "--show"]) == 0
     file = tmp_path / "example.toml"

@@ -36,6 +36,7 @@ def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys:
     assert run(["examples", str(folder), "--force"]) == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["hall.csv", "uncertainty.toml", "acceptance.toml", "workshop.toml"])
 def test_a_command_beside_a_file_runs_as_it_stands(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -71,7 +71,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", [v if v == "plan" else pytest.param(v, marks=pytest.mark.long) for v in VERBS])
 def test_a_verb_that_is_killed_while_it_writes_works_again(
     verb: str, inputs: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

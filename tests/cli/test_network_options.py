@@ -119,6 +119,7 @@ def test_a_calibration_that_lacks_parameters_is_used_with_a_note(source: Path, t
         assert "15 parameters are not in the file and taken as zero" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings(
     source: Path, tmp_path: Path, capsys
 ) -> None:

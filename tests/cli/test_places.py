@@ -90,6 +90,7 @@ def test_a_file_that_is_there_stops_every_verb(
     assert [p.read_text() for p in (tmp_path / "out").rglob("*") if p.is_file()] == ["mine"]
 
 
+@pytest.mark.long
 def test_files_that_are_named_replace_none(made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     mine = tmp_path / "mine.html"
     mine.write_text("mine")

@@ -38,6 +38,7 @@ def goes_through(shared: Path, folder: Path, file: str, options: tuple[str, ...]
     assert run(["report", str(folder), "--quiet"]) == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SMALL)
 def test_small_recordings(shared: Path, tmp_path: Path, name: str) -> None:
     goes_through(shared, tmp_path, *SMALL[name])

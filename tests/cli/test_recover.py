@@ -29,6 +29,7 @@ def test_passes_on_the_paper_workshop(capsys, tmp_path: Path) -> None:
     assert rows[0] == "trial,parameter,unit,truth,estimate,sigma,z,ltsim_estimate"
 
 
+@pytest.mark.long
 def test_fails_with_status_1_when_the_model_lacks_something(capsys, tmp_path: Path) -> None:
     file = tmp_path / "wobbly.toml"
     file.write_text(builtin_text("paper-workshop-two-face") + WOBBLE)
@@ -65,6 +66,7 @@ def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -
     assert "recover with its own construction" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jobs", ["2"])
 def test_the_same_for_any_number_of_workers(jobs: str, capsys, tmp_path: Path) -> None:
     for count, place in (("1", "one"), (jobs, "more")):

@@ -191,6 +191,7 @@ WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth", "PlanResult"}
 """What is a list of words and sizes, and the content of a plan, which is drawn as the plan."""
 
 
+@pytest.mark.long
 def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: list[Any]):
     for module in walk_packages(lt.__path__, "ltsim."):
         import_module(module.name)

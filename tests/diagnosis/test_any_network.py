@@ -43,6 +43,7 @@ FEW = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rows", FEW.values(), ids=FEW)
 def test_little_data_is_written_down_and_names_nothing(rows, tmp_path):
     found = diagnose(few(rows))
@@ -51,6 +52,7 @@ def test_little_data_is_written_down_and_names_nothing(rows, tmp_path):
     assert (tmp_path / "diagnosis.json").is_file()
 
 
+@pytest.mark.long
 def test_a_network_high_above_its_datum_without_a_clock_is_diagnosed():
     recording, truth = network(seed=5, stations=3)
     targets = {

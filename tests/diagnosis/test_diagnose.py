@@ -340,6 +340,7 @@ def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
     assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.long
 def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
     """Errors are told in the stated noise: less of it is found, and nothing is predicted worse."""
     recording, state = workshop(19)
@@ -353,6 +354,7 @@ def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
     assert "has seen" not in found.summary
 
 
+@pytest.mark.long
 def test_turbulence_is_told_from_a_higher_noise_level():
     recording, state = workshop(17)
     sightings = sightings_of(recording, state)
@@ -386,6 +388,7 @@ def test_an_encoder_of_any_number_of_lines_is_named():
     assert found.findings[0].where.observables == ("elevation",)
 
 
+@pytest.mark.long
 def test_targets_are_no_worse_than_those_of_the_right_explanation():
     """An imitated law, unknown to the catalogue: targets after the diagnosis, and with the law itself."""
     recording, state = workshop(4)

@@ -85,6 +85,7 @@ def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else():
         assert [f.effect for f in found] == ["noise-level"]
 
 
+@pytest.mark.long
 def test_noise_that_differs_from_target_to_target_is_one_finding():
     recording, _ = workshop(5)
     times = np.exp(stream(5, "poses").normal(0.0, 1.2, len(recording.targets)))[recording.target]
@@ -135,6 +136,7 @@ def test_a_known_length_that_is_wrong_is_told_as_that_and_not_as_physics():
     assert size.value == pytest.approx(0.3, abs=4 * size.sigma + 0.02)
 
 
+@pytest.mark.long
 def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     """Neither a shift nor a change of the noise; alone it is."""
     recording, _ = concealing("range-cyclic", 3, [1e-6, 1e-6], wavelength=0.31)
@@ -156,6 +158,7 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     assert diagnose(recording).findings
 
 
+@pytest.mark.long
 def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
     """Three of five set-ups are restless, each in another observable: no single one explains the others."""
     recording, _ = network(repeats=2, seed=9)
@@ -192,6 +195,7 @@ def test_a_finding_that_few_readings_carry_names_them():
     assert f"Most of it lies in the distance from {station} to {target} (row 41)." in found.sentence
 
 
+@pytest.mark.long
 def test_no_more_is_told_than_anybody_reads(monkeypatch):
     """The largest findings are told, mistakes among them in any case; how many smaller ones are modelled is said."""
     recording, _ = workshop(4)

@@ -82,6 +82,7 @@ def against(known: EarlierCalibrations, adjustment: Adjustment, values: Floats) 
     return HistoryExpectation.of(known, recording, BUILT).contradictions(other, LEAST_GAIN)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("faces", "count"), [(2, 5), (1, 5), (2, 3), (2, 1)])
 def test_an_instrument_that_wanders_as_ever_is_let_be(faces: int, count: int) -> None:
     """One in twenty is allowed, as for the whole search; 50 histories."""
@@ -110,6 +111,7 @@ def test_two_constants_that_changed_are_told_apart() -> None:
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 
 
+@pytest.mark.long
 def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> None:
     """From files, as a person has them: history.json and calibration.json."""
     mean = drawn(BUILT, 3)

@@ -35,6 +35,7 @@ def trackers(off: float, *, corrected: bool = False) -> Recording:
     return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
 
 
+@pytest.mark.long
 def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
     found = diagnose(trackers(60e-6))
     first = found.findings[0]
@@ -72,6 +73,7 @@ def test_combinations_are_known_where_single_constants_are_not():
     assert direct == pytest.approx(known[0].sigma, rel=0.5)
 
 
+@pytest.mark.long
 def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
     recording = trackers(0.0)
     far = recording.readings[:, 0] / recording.readings[:, 0].max()
@@ -85,6 +87,7 @@ def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
     assert "of instrument B" in first.sentence
 
 
+@pytest.mark.long
 def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
     """Two trackers aim off by another function of the distance each, beyond their constants."""
     recording = trackers(0.0)

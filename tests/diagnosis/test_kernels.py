@@ -42,6 +42,7 @@ def flat(content: Any, place: str = "") -> dict[str, Any]:
     return {key: value for part in parts for key, value in part.items()}
 
 
+@pytest.mark.long
 def test_two_kernels_give_the_same_figures(root: Path) -> None:
     if not any(pool["internal_api"] == "openblas" for pool in threadpool_info()):
         pytest.skip("numpy does not compute with OpenBLAS here: its kernels cannot be chosen")

@@ -27,6 +27,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
     return rest._screened(rest.empty).null
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)

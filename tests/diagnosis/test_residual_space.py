@@ -74,6 +74,7 @@ def test_folds_are_whole_pointings_and_all_of_them(space):
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
+@pytest.mark.long
 def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     """On clean recordings the search is made to find something: the error on held-out readings rises in most."""
     falls = 0
@@ -85,6 +86,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     assert falls <= 3
 
 
+@pytest.mark.long
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
     wave = space.signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, residual=space.residual + 8e-6 * space.project(wave))

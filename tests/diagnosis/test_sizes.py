@@ -79,6 +79,7 @@ def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
     assert found.before.held_out_rms > 1.1
 
 
+@pytest.mark.long
 def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.solve.projection.DENSE", 0)
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", 0)

@@ -12,6 +12,9 @@ from ltsim.cli.main import VERBS
 from ltsim.physics.effects import CATALOGUE
 
 
+pytestmark = pytest.mark.long
+
+
 @pytest.fixture(scope="module")
 def built(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("html")

@@ -79,6 +79,7 @@ def test_the_papers_tables(run: Run) -> None:
     assert {f.name for f in out.glob("*.svg")} == {"table_3.svg", "table_4.svg"}
 
 
+@pytest.mark.long
 def test_the_network_is_nearer_to_the_truth(run: Run) -> None:
     out = run("02_network_against_distance", 4)
     found = {
@@ -99,6 +100,7 @@ def test_removing_outliers_beats_bearing_them(run: Run) -> None:
     assert max(float(row["new_point_mean"]) for row in clean) < 40
 
 
+@pytest.mark.long
 def test_harmonics_that_are_there_must_be_fitted(run: Run) -> None:
     out = run("05_gauge_and_harmonics", 4)
     beyond = {"beyond_second_urad": "5"}
@@ -127,6 +129,7 @@ def test_the_bench_gives_the_table_back(run: Run) -> None:
     assert float(arc["rms_corrected_um"]) > float(row["rms_corrected_um"])
 
 
+@pytest.mark.long
 def test_a_wrong_prior_does_no_harm(run: Run) -> None:
     out = run("23_wrong_priors", 2)
     rows = table(out / "ratios.csv", errors="1.0", noise="1.0", judged="applied")
@@ -134,6 +137,7 @@ def test_a_wrong_prior_does_no_harm(run: Run) -> None:
     assert all(float(row["ratio"]) < 0.6 for row in rows)
 
 
+@pytest.mark.long
 def test_intervals_hold(run: Run) -> None:
     out = run("24_intervals_hold", 6)
     rows = table(out / "intervals.csv")
@@ -142,6 +146,7 @@ def test_intervals_hold(run: Run) -> None:
     assert all(float(row["apart_from_full_solver_sigma"]) < 1e-3 for row in rows)
 
 
+@pytest.mark.long
 def test_more_noise_more_error(run: Run) -> None:
     out = run("08_noise_smr_faces", 4)
     place = {"title": "re-aimed, no SMR error", "faces": "1", "method": "network"}
@@ -149,6 +154,7 @@ def test_more_noise_more_error(run: Run) -> None:
     assert errors == sorted(errors)
 
 
+@pytest.mark.long
 def test_an_instrument_that_changed_is_calibrated_less_well(run: Run) -> None:
     out = run("09_temperature", 4)
     right = {"gauge_scale_ppm": "0", "method": "network"}

@@ -39,6 +39,7 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     return recording.with_readings(recording.readings + model.predict(moved) - model.predict(truth.state))
 
 
+@pytest.mark.long
 def test_no_motion_is_told_where_there_is_none() -> None:
     found = [compare(epoch(2 * i + 1), epoch(2 * i + 2), same_instrument=True) for i in range(12)]
     assert sum(bool(c.moved) for c in found) <= 2

@@ -197,6 +197,7 @@ def test_a_radius_holds_the_stated_share_of_errors() -> None:
         assert np.mean(np.linalg.norm(errors, axis=1) < most) == pytest.approx(0.95, abs=0.003)
 
 
+@pytest.mark.long
 def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) -> None:
     goal = '[goal]\nrobust = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.03\n[search]'
     counts = {}
@@ -243,6 +244,7 @@ def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:
         lt.plan(hall)
 
 
+@pytest.mark.long
 def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))

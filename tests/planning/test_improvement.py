@@ -25,6 +25,7 @@ def test_expected_length_of_a_normal_vector() -> None:
     assert expected_length(variances) == pytest.approx(exact, rel=1e-6)
 
 
+@pytest.mark.long
 def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     """Noise, known lengths, instrument and an effect that the calibration does not know are drawn anew each time."""
     made, construction = survey((1,)), misalignment()

@@ -138,6 +138,7 @@ def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: Plan) -> No
     assert made.target_names == plan.scenario.target_names
 
 
+@pytest.mark.long
 def test_the_number_of_jobs_changes_nothing(tmp_path: Path) -> None:
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     assert plan_file(make_plan(file, scenario, jobs=2)) == plan_file(make_plan(file, scenario))
@@ -167,6 +168,7 @@ def _with_cabinet(scenario) -> str:  # type: ignore[no-untyped-def]
     return scenario_to_toml(scenario.model_copy(update={"workshop": workshop}))
 
 
+@pytest.mark.long
 def test_a_budget_in_hours_buys_the_best_that_it_pays_for(tmp_path: Path) -> None:
     text = "[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 1.8\n"
     made = make_plan(*load_plan(small(text, tmp_path)))

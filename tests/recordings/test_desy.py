@@ -25,6 +25,7 @@ def report():
     return read(DATA / "SA_CompositeReport_20Sep21.csv")
 
 
+@pytest.mark.long
 def test_report_and_text_give_the_same_instrument(text, report):
     one, other = (calibrate_network(r, advise=False) for r in (text, report))
     assert one.fit.status == other.fit.status == "converged"

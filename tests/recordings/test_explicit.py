@@ -229,6 +229,7 @@ def packed(base: Path, path: Path, part: str, change: Callable[[bytes], bytes]) 
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("part", "change", "says"),
     [

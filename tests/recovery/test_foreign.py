@@ -39,6 +39,7 @@ def two_faces(tmp_path: Path) -> Any:
     return calibrate
 
 
+@pytest.mark.long
 def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too_small(two_faces: Any) -> None:
     right = lt.recover(SCENE, trials=30, seed=2, calibrator=two_faces)
     assert right.errors == "stated" and set(right.names) == set(ERRORS) and right.passed

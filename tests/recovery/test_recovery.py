@@ -63,6 +63,7 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
         assert np.mean([getattr(t.network, what) for t in found.converged]) == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.long
 def test_the_reflectors_error_is_recovered_without_a_prior() -> None:
     """A table is a set of parameters: an effect that is estimated freely finds it within its uncertainty."""
     found = lt.recover("paper-workshop", trials=24, seed=5, with_effects="smr-incidence")
@@ -71,6 +72,7 @@ def test_the_reflectors_error_is_recovered_without_a_prior() -> None:
     assert [c.sentence() for c in found.failures()] == []
 
 
+@pytest.mark.long
 def test_a_fixed_nest_without_the_error_in_the_model_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.physics.model.measurement.incidence_errors", lambda recording: ())
     assert run_recovery("paper-workshop", 60).failures()
@@ -98,6 +100,7 @@ def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
     assert any("standard deviation" in failure.sentence() for failure in failures)
 
 
+@pytest.mark.long
 def test_a_parameter_that_the_model_lacks_fails() -> None:
     from ltsim.physics.effects import BASELINE
 

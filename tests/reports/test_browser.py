@@ -87,7 +87,9 @@ def test_canvas_of_the_report_is_drawn(page: Path, tmp_path: Path) -> None:
     assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
 
 
-@pytest.mark.parametrize("kind", ["calibration", "history", "next", "plan", "campaign"])
+@pytest.mark.parametrize(
+    "kind", ["calibration", *(pytest.param(k, marks=pytest.mark.long) for k in ("history", "next", "plan", "campaign"))]
+)
 def test_a_phone_never_scrolls_sideways(kind: str, page: Path, tmp_path: Path) -> None:
     made = {"history": samples.history_folder, "next": samples.next_folder, "plan": samples.plan_folder}
     made["campaign"] = samples.campaign_folder

@@ -100,6 +100,7 @@ def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) ->
     assert there.min() < truth.causes[0].to_json()["shape"]["time"] < there.max()
 
 
+@pytest.mark.long
 def test_the_curve_rises(recording: Recording) -> None:
     found = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
     weak, strong = found.table().json()

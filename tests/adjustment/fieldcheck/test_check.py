@@ -402,6 +402,7 @@ def test_every_page_of_the_figure() -> None:
     assert svg(check_figure(check(twice)))
 
 
+@pytest.mark.long
 def test_the_girder_epochs(shared: Path) -> None:
     """The differences are those of the readings, and the nest whose faces differ by 32 um in range is named."""
     folder = shared / "recordings" / "desy-girder-at960"
@@ -419,6 +420,7 @@ def test_the_girder_epochs(shared: Path) -> None:
     assert check_file(found).sentence.startswith("no-go: Instrument_0 to K6: rows 81 and 82 are 52")
 
 
+@pytest.mark.long
 def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -> None:
     """Directions to four targets are ten times as noisy: neither a set-up nor the network blames a pointing of them."""
     for seed in range(5):

@@ -177,6 +177,7 @@ def test_two_causes_at_once() -> None:
     assert found == {((), ("T08",)), (("S3",), ())}
 
 
+@pytest.mark.long
 def test_verbs_say_the_same_of_one_cause() -> None:
     recording, truth = hall()
     wrong = shifted(recording, recording.target == 7, 0, 12.7e-3)

@@ -76,6 +76,7 @@ def search() -> Search:
     return Search(1)
 
 
+@pytest.mark.long
 def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_often_as_is_said(search: Search) -> None:
     """One effect without a place, one of a station, one of a target, one of a reading."""
     chosen = {"gauge-scale", "station-weather", "target-moved", "smr-dihedral"}

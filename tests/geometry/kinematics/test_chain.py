@@ -107,6 +107,7 @@ def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) ->
     np.testing.assert_allclose(point(chain, raw, amounts), one_by_one, atol=1e-13)
 
 
+@pytest.mark.long
 @both
 @given(seed=st.integers(0, 1000))
 def test_derivatives_by_every_slot(name: str, seed: int) -> None:

@@ -77,6 +77,7 @@ def test_a_bench_test_from_any_zero_conditions_the_prior_exactly() -> None:
     np.testing.assert_allclose(root @ root.T, prior - gain @ rows @ prior, atol=1e-18)
 
 
+@pytest.mark.long
 def test_calibration_uses_the_bench_test_of_the_setup() -> None:
     """It halves what the error of reflectors adds to the variance of the lateral beam offset, at least."""
     plain = recorded()
