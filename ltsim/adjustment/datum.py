@@ -31,7 +31,7 @@ class Tied:
     columns: Ints
     """(k, 3): their columns in the vector of unknowns."""
     places: Floats
-    """(k, 3) [m]: where they are."""
+    """Coordinates (k, 3) [m] of the points."""
     approximate: Floats
     """(k, 3) [m]: approximate coordinates, NaN where none are stated and along axes that do not count."""
     counts: Bools

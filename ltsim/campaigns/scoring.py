@@ -210,7 +210,7 @@ class ExpectedTruth:
 
     @classmethod
     def of(cls, calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
-        """The truth of a simulated recording; `law` as of `score`."""
+        """Truth of a simulated recording; `law` has the meaning that it has in `score`."""
         prior = calibration.prior_sigma.ravel()
         mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
         adjustment = calibration.adjustment

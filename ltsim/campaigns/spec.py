@@ -254,7 +254,7 @@ class Cell:
     levels: dict[str, Any]
     """Value of each factor, by the factor's name."""
     mark: str
-    """Digest of all that decides its rows but how many, and which of their columns are kept."""
+    """Digest of everything that determines the rows of the cell, except their number and the stored columns."""
 
 
 def cells_of(

@@ -65,7 +65,7 @@ class Solution(Generic[X]):
         return self.status in (Status.CONVERGED, Status.PLANNED)
 
     def require_success(self) -> Solution[X]:
-        """Itself, or `ConvergenceError` with the status sentence."""
+        """The solution if it converged; raises `ConvergenceError` with the status sentence otherwise."""
         if not self.converged:
             raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
         return self

@@ -13,8 +13,8 @@ import ltsim
 
 PACKAGE = Path(ltsim.__file__).parent
 PRONOUNS = (
-    "anything|everybody|everything|he|his|it|its|nobody|none|nothing|one|some|somebody|something|such|"
-    "that|their|these|they|this|those"
+    "anything|everybody|everything|he|his|it|its|itself|nobody|none|nothing|one|some|somebody|something|such|"
+    "that|their|themselves|these|they|this|those"
 )
 """Words in the place of the noun that says what is described."""
 CLAUSES = (

@@ -40,7 +40,7 @@ class MeshExpansion(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Both modes."""
+        """Expansion of the mesh in both modes."""
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:
