@@ -11,7 +11,6 @@ import pytest
 from ltsim.cli.main import VERBS
 from ltsim.physics.effects import CATALOGUE
 
-
 pytestmark = pytest.mark.long
 
 
