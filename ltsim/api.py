@@ -14,7 +14,7 @@ from ltsim.recordings.result_file import read_json, read_result
 if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
     from ltsim.diagnosis.diagnosis import Diagnosis
-    from ltsim.planning.plan import Plan
+    from ltsim.planning.result import Plan
     from ltsim.simulation.truth import Truth
 
 
@@ -135,7 +135,7 @@ def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, re
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import write_diagnosis
-    from ltsim.planning.plan import Plan, write_plan
+    from ltsim.planning.result import Plan, write_plan
     from ltsim.simulation.truth import Truth, write_truth
 
     match result:

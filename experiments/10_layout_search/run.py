@@ -10,13 +10,14 @@ from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.information import LayoutInformation, Predictor
+from ltsim.planning.layout_scenario import with_layout
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
-from ltsim.planning.plan import Plan
+from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import fewest
+from ltsim.planning.result import Plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
@@ -54,7 +55,7 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
     return values, best[1]
 
 
-def candidates_of(plan: Plan, drawn: int, best: Survey) -> dict[str, tuple[str, Scenario]]:
+def candidates_of(plan: PlannedNetwork, drawn: int, best: Survey) -> dict[str, tuple[str, Scenario]]:
     """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
     few, chosen = fewest(plan), plan.chosen.survey
     surveys = {"drawn": (f"best of {drawn} drawn", best)}
@@ -142,7 +143,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     return rows, summary
 
 
-def lot_row(values: Floats, plan: Plan) -> Row:
+def lot_row(values: Floats, plan: PlannedNetwork) -> Row:
     """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
     paper = d_criterion(LayoutInformation.of(survey_of(plan.scenario)).scaled_covariance)
     named = dict(zip(("best", "p5", "median", "p95"), np.percentile(values, [0, 5, 50, 95]), strict=True))
@@ -151,7 +152,7 @@ def lot_row(values: Floats, plan: Plan) -> Row:
     return row | {"drawn_better_than_paper_percent": 100 * np.mean(values < paper)}
 
 
-def curve_rows(plan: Plan) -> list[Row]:
+def curve_rows(plan: PlannedNetwork) -> list[Row]:
     """Cost against quality."""
     return [
         {"stations": len(o.survey.position), "faces": len(o.survey.faces), "pointings": o.survey.pointings,
@@ -168,7 +169,7 @@ def run(given: Options) -> Made:
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
-        content, about = plan_file(plan), {"cone_deg": cone}
+        content, about = Plan.of(plan), {"cone_deg": cone}
         reasons[str(cone)] = [content.summary, *content.reasons]
         values, best = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
         tables["tradeoff"] += [about | row for row in curve_rows(plan)]

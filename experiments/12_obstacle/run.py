@@ -2,12 +2,13 @@
 
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.layout_scenario import planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import d_criterion
-from ltsim.planning.plan import Plan
+from ltsim.planning.planner import PlannedNetwork
+from ltsim.planning.result import Plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
 from ltsim.reports.figures.floor_plan import floor_plan
@@ -40,7 +41,7 @@ def run(given: Options) -> Made:
     """The paper's layout and the plan, each in the empty workshop and with the machine."""
     file, empty = load_plan(given.here / "machine.toml")
     full = with_machine(empty)
-    plans: dict[str, Plan] = {name: make_plan(file, scenario, jobs=given.jobs)
+    plans: dict[str, PlannedNetwork] = {name: make_plan(file, scenario, jobs=given.jobs)
                               for name, scenario in (("empty", empty), ("machine", full))}  # fmt: skip
     moved = planned_scenario(plans["empty"])
     layouts = (
@@ -56,5 +57,5 @@ def run(given: Options) -> Made:
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (("paper_machine", full), ("plan_machine", planned_scenario(plans["machine"]))):
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
-    reasons = {name: plan_file(plan).reasons for name, plan in plans.items()}
+    reasons = {name: Plan.of(plan).reasons for name, plan in plans.items()}
     return Made(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})

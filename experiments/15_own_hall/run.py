@@ -10,10 +10,11 @@ from ltsim.campaigns.truth import truth_of
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.files import plan_file, planned_scenario
+from ltsim.planning.layout_scenario import planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
-from ltsim.planning.schema import PlanChange
+from ltsim.planning.plan_change import PlanChange
+from ltsim.planning.result import Plan
 from ltsim.reports.figures.floor_plan import reflector_changes
 from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario
@@ -63,7 +64,7 @@ def run(given: Options) -> Made:
     trials = given.trials or TRIALS
     file, hall = load_plan(given.here / "hall.toml")
     plan = make_plan(file, hall, jobs=given.jobs)
-    scenario, survey = planned_scenario(plan), plan.chosen.survey
+    scenario, survey, result = planned_scenario(plan), plan.chosen.survey, Plan.of(plan)
     own = dict(zip(survey.target_names, survey.weight.tolist(), strict=True))
     rows: list[Row] = []
     for change in plan.changes.reported:
@@ -74,6 +75,6 @@ def run(given: Options) -> Made:
         rows.append({k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()} | {"held": bool(held)})
         tell(str(rows[-1]))
     write_table(given.out / "changes.csv", rows)
-    figure = reflector_changes(from_scenario(scenario), plan_file(plan).reflector_changes, file.floor)
+    figure = reflector_changes(from_scenario(scenario), result.reflector_changes, file.floor)
     write_figure(given.out / "changes.svg", figure)
-    return Made(SEED, trials, {"summary": plan_file(plan).summary, "reasons": plan_file(plan).reasons})
+    return Made(SEED, trials, {"summary": result.summary, "reasons": result.reasons})

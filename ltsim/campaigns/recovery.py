@@ -21,34 +21,32 @@ Chi-square, targets and stations are checked of ltsim's calibrator alone.
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, Literal, Self
 
-import numpy as np
-from scipy import stats
+from pydantic import Field, PrivateAttr
 
 from ltsim.calibration.verbs import requested_effect
-from ltsim.campaigns.recovery_checks import (
-    COVERED,
-    FALSE_ALARM,
-    FEWEST,
-    chi_square_check,
-    fixed_truth_checks,
-    mean_check,
-    parameter_checks,
-    tolerance_check,
+from ltsim.campaigns.recovery_checks import CHECKS, RecoveryCheck
+from ltsim.campaigns.recovery_trials import (
+    PARAMETERS,
+    TRIALS,
+    FailedTrial,
+    How,
+    RecoveredParameter,
+    RecoveryTolerance,
+    RecoveryTrials,
+    run_trials,
 )
-from ltsim.campaigns.recovery_trials import FailedTrial, How, run_trials
-from ltsim.campaigns.schema import CHECKS, TRIALS, Errors, RecoveryCheck
+from ltsim.campaigns.schema import Errors, Whole
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
 from ltsim.core.arguments import check_bounds
-from ltsim.core.arrays import Floats
-from ltsim.core.errors import RecordError, SetupError, option, unknown_name
-from ltsim.core.results import Columns, Result, Table
+from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
+from ltsim.core.results import Result, Table
 from ltsim.core.units import in_unit
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import each_of
 from ltsim.physics.model.construction import construction as construction_called
+from ltsim.recordings.result_file import ResultFile
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
@@ -58,181 +56,107 @@ MOST_FAILURES = 3
 fails at once, and the check of convergence fails with the first."""
 
 
-class RecoveryTolerance(NamedTuple):
-    """Largest permitted error: in the parameter's unit, and as it was given."""
+class Recovery(ResultFile, Result):
+    """`recovery.json`: the result of `recover`."""
 
-    value: float
-    words: str
-
-
-@dataclass(frozen=True, repr=False)
-class Recovery(Result):
-    """All trials of a recovery check with `errors` drawn or stated; a trial that gave no result is None."""
-
-    trials: tuple[Trial | None, ...]
+    FILE: ClassVar[str] = "recovery.json"
+    format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
+    """Format and version of this file."""
+    passed: bool
+    """All checks passed, and no parameter is without one unless that was allowed."""
     errors: Errors = "drawn"
-    tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
-    """Tolerance by parameter; only these parameters are checked, if there are any."""
-    seconds: float = 0.0
-    """Duration of the trials [s]."""
+    """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
+    trials: Whole
+    """Number of trials."""
+    converged: Whole
+    """Number of trials that gave a result."""
+    seed: Whole
+    """Root of the random draws."""
+    checks: tuple[RecoveryCheck, ...]
+    """Checks of one number each; bounds are shared out so that a correct model fails any in one run of a hundred."""
+    parameters: tuple[RecoveredParameter, ...] = ()
+    """Errors of each parameter over the trials."""
+    unchecked: tuple[str, ...] = ()
+    """Parameters that nothing was checked of: neither a sigma in each trial nor a tolerance."""
+    allow_unchecked: bool = False
+    """True where parameters that nothing is checked of do not keep the run from passing."""
+    tolerances: dict[str, str] = Field(default_factory=dict)
+    """Tolerances that were given, by parameter; only these parameters are checked, if there are any."""
     problem: str = ""
     """Reason of the failure of the last trial without a result."""
-    allow_unchecked: bool = False
-    """Parameters that nothing is checked of do not keep the run from passing."""
+    _arrays: RecoveryTrials | None = PrivateAttr(None)
+
+    __repr__ = __str__ = Result.__repr__
+
+    @classmethod
+    def of(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
+        """The result of the trials."""
+        checks, unchecked = tuple(trials.checks()), trials.unchecked()
+        made = cls(
+            passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
+            errors=trials.errors,
+            trials=len(trials.trials),
+            converged=len(trials.converged),
+            seed=seed,
+            checks=checks,
+            parameters=trials.parameters(),
+            unchecked=unchecked,
+            allow_unchecked=allow_unchecked,
+            tolerances={name: tolerance.words for name, tolerance in trials.tolerance.items()},
+            problem=trials.problem,
+        )
+        made._arrays = trials
+        return made
+
+    @property
+    def arrays(self) -> RecoveryTrials:
+        """The trials as arrays; raises ModelError for a result that was read from a file."""
+        if self._arrays is None:
+            raise ModelError("a recovery read from a file has no trials; trials.csv in its folder has them")
+        return self._arrays
 
     def _lines(self) -> list[str]:
         return [
-            f"Recovery, errors {self.errors}: {len(self.trials)} trials, {len(self.converged)} converged: "
-            f"{self.verdict()}",
+            f"Recovery, errors {self.errors}: {self.trials} trials, {self.converged} converged: {self.verdict()}",
             *self.problems(),
         ]
 
-    @property
-    def passed(self) -> bool:
-        """True where all checks pass and no parameter is without one, unless that is allowed."""
-        return not self.failures() and (self.allow_unchecked or not self.unchecked())
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {
+            "checks": lambda: CHECKS.filled(self.checks),
+            "parameters": lambda: PARAMETERS.filled(self.parameters),
+            "trials": lambda: TRIALS.filled(self.arrays.rows()),
+        }
+
+    def failures(self) -> list[RecoveryCheck]:
+        """Checks that fail."""
+        return [check for check in self.checks if not check.passed]
 
     def verdict(self) -> str:
         """The result in a few words."""
-        unchecked = self.unchecked()
+        within = "the given tolerances" if self.tolerances else "its stated uncertainty"
         if self.failures():
             return "the check fails"
-        if not unchecked:
-            return f"everything is recovered within {self.what}"
-        checked = len(self.names) - len(unchecked)
+        if not self.unchecked:
+            return f"everything is recovered within {within}"
+        checked, count = len(self.parameters) - len(self.unchecked), len(self.parameters)
         if not checked:
             return "no parameter is checked"
-        return f"{checked} of {len(self.names)} parameters are recovered within {self.what}, the others are not checked"
+        return f"{checked} of {count} parameters are recovered within {within}, the others are not checked"
 
     def problems(self) -> list[str]:
         """Sentences about all that keeps the run from passing, and about parameters that are not checked."""
         sentences = [check.sentence() for check in self.failures()]
-        if self.problem and len(self.converged) < len(self.trials):
+        if self.problem and self.converged < self.trials:
             sentences.insert(1, self.problem)
-        if unchecked := self.unchecked():
-            example = f"{option('tolerance')} {unchecked[0]}='2 {self.converged[0].units[0]}'"
+        if unchecked := self.unchecked:
+            example = f"{option('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
             sentences.append(
                 f"{', '.join(unchecked)} {'is' if len(unchecked) == 1 else 'are'} not checked: the calibrator declares "
                 f"no sigma in every trial; declare one, or give a tolerance such as {example}, "
                 f"or take {option('allow_unchecked=True')}"
             )
         return sentences
-
-    def unchecked(self) -> tuple[str, ...]:
-        """Parameters that nothing is checked of: neither a sigma in each trial nor a tolerance."""
-        if self.tolerance or not self.converged:
-            return ()
-        judged = np.all(np.isfinite(self.z), axis=0)
-        return tuple(name for name, checked in zip(self.names, judged, strict=True) if not checked)
-
-    @property
-    def what(self) -> str:
-        """Limits within which everything is to be recovered."""
-        return "the given tolerances" if self.tolerance else "its stated uncertainty"
-
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
-        return {
-            "checks": lambda: CHECKS.filled(self.checks()),
-            "parameters": self.parameters,
-            "trials": lambda: TRIALS.filled(self.rows()),
-        }
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return self.converged[0].names if self.converged else ()
-
-    @property
-    def converged(self) -> list[Trial]:
-        """Trials that gave a result."""
-        return [trial for trial in self.trials if trial is not None]
-
-    def _stacked(self, what: str) -> Floats:
-        return np.stack([getattr(trial, what) for trial in self.converged])
-
-    @property
-    def z(self) -> Floats:
-        """(N, p) errors of the parameters over their stated sigmas."""
-        return self._stacked("z")
-
-    def rows(self) -> list[dict[str, object]]:
-        """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
-        return [
-            {"trial": number, "parameter": name, "unit": trial.units[k], "truth": trial.truth[k],
-             "estimate": trial.estimate[k], "sigma": trial.sigma[k], "z": trial.z[k],
-             "ltsim_estimate": None if trial.other is None else trial.other.estimate[k]}
-            for number, trial in enumerate(self.trials)
-            if trial is not None
-            for k, name in enumerate(trial.names)
-        ]  # fmt: skip
-
-    def parameters(self) -> Columns:
-        """Statistics of each parameter's errors, with those of ltsim's calibrator where a foreign one is checked."""
-        if len(self.converged) < FEWEST:
-            return {"parameter": self.names}
-        error, z = self._stacked("estimate") - self._stacked("truth"), self.z
-        columns: dict[str, Sequence[object]] = {
-            "parameter": self.names,
-            "unit": self.converged[0].units,
-            "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
-            "mean_z": z.mean(axis=0).tolist(),
-            "deviation_z": z.std(axis=0, ddof=1).tolist(),
-            "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED)), axis=0).tolist(),
-        }
-        both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
-        if len(both) < FEWEST:
-            return columns
-        reference = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
-        gap, count = np.abs(error[both]) - np.abs(reference), len(both)
-        half = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
-        return columns | {
-            "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
-            "larger_than_ltsim": gap.mean(axis=0).tolist(),
-            "larger_low": (gap.mean(axis=0) - half).tolist(),
-            "larger_high": (gap.mean(axis=0) + half).tolist(),
-        }
-
-    def checks(self) -> list[RecoveryCheck]:
-        """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
-        lost = len(self.trials) - len(self.converged)
-        checks = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
-        if len(self.converged) < FEWEST:
-            return checks
-        chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
-        level = FALSE_ALARM / (4 * len(chosen) + 3)
-        checks += [check for k in chosen for check in self._of_parameter(k, level)]
-        return checks if self.tolerance else checks + self._whole(level)
-
-    def _of_parameter(self, k: int, level: float) -> list[RecoveryCheck]:
-        """Checks of a parameter; z-scores are checked where every trial has one."""
-        name, standard, z = self.names[k], self._stacked("standard")[:, k], self.z[:, k]
-        foreign, checks = self.converged[0].foreign, list[RecoveryCheck]()
-        if np.all(np.isfinite(standard)):
-            checks += parameter_checks(name, standard, level)
-        if self.errors == "stated" and np.all(np.isfinite(z)):
-            mean, spread, coverage = fixed_truth_checks(name, z, level)
-            checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
-            checks.append(coverage)
-        if self.tolerance:
-            given = self.tolerance[name]
-            error = self._stacked("estimate")[:, k] - self._stacked("truth")[:, k]
-            checks.append(tolerance_check(name, error, given.value, given.words))
-        return checks
-
-    def _whole(self, level: float) -> list[RecoveryCheck]:
-        parts, checks = [trial.network for trial in self.converged], []
-        if all(np.isfinite(part.expected) for part in parts):
-            chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))
-            checks.append(chi_square_check(chi2, expected, spread, level))
-        for what in ("targets", "stations"):
-            squares = np.array([getattr(part, what) for part in parts])
-            if np.all(np.isfinite(squares)):
-                checks.append(mean_check(what, "mean squared error over variance", squares, level))
-        return checks
-
-    def failures(self) -> list[RecoveryCheck]:
-        """Checks that fail."""
-        return [check for check in self.checks() if not check.passed]
 
 
 def recover(
@@ -283,8 +207,8 @@ def recover(
     Returns
     -------
     Recovery
-        `passed`, `problems()`; `failures()` lists the checks that fail; a correct model fails any in one run of a
-        hundred.
+        `passed`, `checks`, `problems()`; `failures()` lists the checks that fail; a correct model fails any in one
+        run of a hundred.
 
     Examples
     --------
@@ -322,7 +246,8 @@ def recover(
             if failed == MOST_FAILURES:
                 problem = f"the run ended after {failed} failures of the calibrator: {problem}"
                 break
-    return Recovery(tuple(done), mode, within, time.monotonic() - began, problem, allow_unchecked)
+    made = RecoveryTrials(tuple(done), mode, within, time.monotonic() - began, problem)
+    return Recovery.of(made, seed=seed, allow_unchecked=allow_unchecked)
 
 
 def _check_same_parameters(trial: Trial, before: Sequence[Trial | None]) -> None:

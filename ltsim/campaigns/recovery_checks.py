@@ -5,14 +5,17 @@ specification (mean within 0.1, standard deviation within 5 %, coverage within 1
 trials make chance wider: a correct model fails any of them in one run of a hundred.
 """
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import Self
 
 import numpy as np
 from scipy import stats
 
-from ltsim.campaigns.schema import RecoveryCheck
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
+from ltsim.core.results import Table, columns_of
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 FALSE_ALARM = 0.01
 """Chance that a correct model fails any of the checks."""
@@ -23,6 +26,41 @@ MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
 MAX_RELATIVE_SPREAD = float(np.sqrt(2.0))
 """Standard deviation of a mean square over its mean where all that it averages is one number."""
+
+
+class RecoveryCheck(Entry):
+    """Check that a number lies between two bounds."""
+
+    what: str
+    """Subject of the check: a parameter, or chi-square, targets, stations."""
+    statistic: str
+    """Name of the number that is checked, such as the mean z-score."""
+    value: OptionalFloat
+    """Value of the number."""
+    low: Finite
+    """Lower bound of the number."""
+    high: Finite
+    """Upper bound of the number."""
+    passed: bool
+    """True where the number lies between the bounds."""
+
+    @classmethod
+    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
+        """The check of a number; NaN fails."""
+        passed = bool(low <= value <= high)
+        return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
+
+    def within(self, low: float, high: float) -> Self:
+        """The check of the same number with other limits."""
+        return self.of(self.what, self.statistic, math.nan if self.value is None else self.value, low, high)
+
+    def sentence(self) -> str:
+        """The value and its limits, as a sentence."""
+        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
+        return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
+
+
+CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
 
 
 def recovery_checks(

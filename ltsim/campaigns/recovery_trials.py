@@ -1,23 +1,87 @@
 """Trials of a recovery check: a recording simulated, calibrated by ltsim or by a foreign calibrator, and scored."""
 
-from collections.abc import Generator
-from dataclasses import dataclass
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
+from ltsim.campaigns.recovery_checks import (
+    COVERED,
+    FALSE_ALARM,
+    FEWEST,
+    RecoveryCheck,
+    chi_square_check,
+    fixed_truth_checks,
+    mean_check,
+    parameter_checks,
+    tolerance_check,
+)
 from ltsim.campaigns.schema import Errors
 from ltsim.campaigns.scoring import Calibrator, Trial, estimates_by, score, score_estimates
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import parallel
+from ltsim.core.results import Table, columns_of, numbers, texts
+from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings import Recording
+from ltsim.recordings.result_file import Entry, OptionalFloat
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import instrument_law
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure, place_key
+
+
+class RecoveryTolerance(NamedTuple):
+    """Largest permitted error: in the parameter's unit, and as it was given."""
+
+    value: float
+    words: str
+
+
+class RecoveredParameter(Entry):
+    """Errors of one parameter over the trials, in its unit; statistics are null with fewer than two trials."""
+
+    parameter: str
+    """Name of the parameter; of an effect EFFECT:PARAMETER and its place."""
+    unit: str
+    """Unit of the errors."""
+    rms_error: OptionalFloat = None
+    """Root mean square error."""
+    mean_z: OptionalFloat = None
+    """Mean of the errors over their declared sigmas."""
+    deviation_z: OptionalFloat = None
+    """Standard deviation of the errors over their declared sigmas."""
+    coverage_95: OptionalFloat = None
+    """Share of the trials whose 95 % interval contains the truth."""
+    ltsim_rms_error: OptionalFloat = None
+    """Root mean square error of ltsim in the same recordings, where another calibrator is checked."""
+    larger_than_ltsim: OptionalFloat = None
+    """Mean of the absolute errors less those of ltsim in the same recordings."""
+    larger_low: OptionalFloat = None
+    """Lower 95 % bound of that mean."""
+    larger_high: OptionalFloat = None
+    """Upper 95 % bound of that mean."""
+
+
+PARAMETERS = Table("parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter))
+TRIALS = Table(
+    "trials.csv",
+    "what was found in each trial that gave a result, one row a trial and parameter",
+    (
+        *numbers(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
+        *texts(parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"),
+        *numbers("r", truth="true value", estimate="what the calibrator found", sigma="that it states"),
+        *numbers(".6g", z="(estimate - truth) / sigma"),
+        *numbers("r", ltsim_estimate="what ltsim found in the same recording, where another calibrator is checked"),
+    ),
+)
 
 
 class FailedTrial(NamedTuple):
@@ -90,3 +154,124 @@ def calibrated(recording: Recording, how: How, construction: Construction) -> Ca
     if how.method == "network":
         return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
     return calibrate_distance(recording, construction, method=how.method, advise=False)
+
+
+@dataclass(frozen=True)
+class RecoveryTrials(ValueEquality):
+    """All trials of a recovery check, with the statistics that are checked; a trial without a result is None."""
+
+    trials: tuple[Trial | None, ...]
+    errors: Errors = "drawn"
+    tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
+    """Tolerance by parameter; only these parameters are checked, if there are any."""
+    seconds: float = 0.0
+    """Duration of the trials [s]."""
+    problem: str = ""
+    """Reason of the failure of the last trial without a result."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.converged[0].names if self.converged else ()
+
+    @property
+    def converged(self) -> list[Trial]:
+        """Trials that gave a result."""
+        return [trial for trial in self.trials if trial is not None]
+
+    def _stacked(self, what: str) -> Floats:
+        return np.stack([getattr(trial, what) for trial in self.converged])
+
+    @property
+    def z(self) -> Floats:
+        """(N, p) errors of the parameters over their stated sigmas."""
+        return self._stacked("z")
+
+    def unchecked(self) -> tuple[str, ...]:
+        """Parameters that nothing is checked of: neither a sigma in each trial nor a tolerance."""
+        if self.tolerance or not self.converged:
+            return ()
+        judged = np.all(np.isfinite(self.z), axis=0)
+        return tuple(name for name, checked in zip(self.names, judged, strict=True) if not checked)
+
+    def rows(self) -> list[dict[str, object]]:
+        """Rows of `trials.csv`, one per trial and parameter, in the parameter's unit."""
+        return [
+            {"trial": number, "parameter": name, "unit": trial.units[k], "truth": trial.truth[k],
+             "estimate": trial.estimate[k], "sigma": trial.sigma[k], "z": trial.z[k],
+             "ltsim_estimate": None if trial.other is None else trial.other.estimate[k]}
+            for number, trial in enumerate(self.trials)
+            if trial is not None
+            for k, name in enumerate(trial.names)
+        ]  # fmt: skip
+
+    def parameters(self) -> tuple[RecoveredParameter, ...]:
+        """Statistics of each parameter's errors, with those of ltsim's calibrator where a foreign one is checked."""
+        columns: dict[str, Sequence[float]] = {}
+        if len(self.converged) >= FEWEST:
+            error, z = self._stacked("estimate") - self._stacked("truth"), self.z
+            columns = {
+                "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
+                "mean_z": z.mean(axis=0).tolist(),
+                "deviation_z": z.std(axis=0, ddof=1).tolist(),
+                "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED)), axis=0).tolist(),
+                **self._against_ltsim(error),
+            }
+        units = self.converged[0].units if self.converged else ()
+        return tuple(
+            RecoveredParameter(parameter=name, unit=unit, **{key: column[k] for key, column in columns.items()})
+            for k, (name, unit) in enumerate(zip(self.names, units, strict=True))
+        )
+
+    def _against_ltsim(self, error: Floats) -> dict[str, Sequence[float]]:
+        """Columns on ltsim's estimates of the same recordings, `error` (N, p) being those of the calibrator."""
+        both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
+        if len(both) < FEWEST:
+            return {}
+        reference = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
+        gap, count = np.abs(error[both]) - np.abs(reference), len(both)
+        half = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
+        return {
+            "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
+            "larger_than_ltsim": gap.mean(axis=0).tolist(),
+            "larger_low": (gap.mean(axis=0) - half).tolist(),
+            "larger_high": (gap.mean(axis=0) + half).tolist(),
+        }
+
+    def checks(self) -> list[RecoveryCheck]:
+        """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
+        lost = len(self.trials) - len(self.converged)
+        checks = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
+        if len(self.converged) < FEWEST:
+            return checks
+        chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
+        level = FALSE_ALARM / (4 * len(chosen) + 3)
+        checks += [check for k in chosen for check in self._of_parameter(k, level)]
+        return checks if self.tolerance else checks + self._whole(level)
+
+    def _of_parameter(self, k: int, level: float) -> list[RecoveryCheck]:
+        """Checks of a parameter; z-scores are checked where every trial has one."""
+        name, standard, z = self.names[k], self._stacked("standard")[:, k], self.z[:, k]
+        foreign, checks = self.converged[0].foreign, list[RecoveryCheck]()
+        if np.all(np.isfinite(standard)):
+            checks += parameter_checks(name, standard, level)
+        if self.errors == "stated" and np.all(np.isfinite(z)):
+            mean, spread, coverage = fixed_truth_checks(name, z, level)
+            checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
+            checks.append(coverage)
+        if self.tolerance:
+            given = self.tolerance[name]
+            error = self._stacked("estimate")[:, k] - self._stacked("truth")[:, k]
+            checks.append(tolerance_check(name, error, given.value, given.words))
+        return checks
+
+    def _whole(self, level: float) -> list[RecoveryCheck]:
+        parts, checks = [trial.network for trial in self.converged], []
+        if all(np.isfinite(part.expected) for part in parts):
+            chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))
+            checks.append(chi_square_check(chi2, expected, spread, level))
+        for what in ("targets", "stations"):
+            squares = np.array([getattr(part, what) for part in parts])
+            if np.all(np.isfinite(squares)):
+                checks.append(mean_check(what, "mean squared error over variance", squares, level))
+        return checks

@@ -1,15 +1,14 @@
-"""Schemas of manifest.json and recovery.json, and their tables."""
+"""Schema of manifest.json, and the tables of a campaign."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
 from ltsim.campaigns.design import Factor
-from ltsim.core.results import Column, Table, columns_of, numbers, texts
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
+from ltsim.core.results import Column, Table, numbers, texts
+from ltsim.recordings.result_file import Entry, ResultFile
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -157,52 +156,6 @@ def summary_table(factors: Mapping[str, str]) -> Table:
     )
 
 
-class RecoveryCheck(Entry):
-    """Check that a number lies between two bounds."""
-
-    what: str
-    """Subject of the check: a parameter, or chi-square, targets, stations."""
-    statistic: str
-    """Name of the number that is checked, such as the mean z-score."""
-    value: OptionalFloat
-    """Value of the number."""
-    low: Finite
-    """Lower bound of the number."""
-    high: Finite
-    """Upper bound of the number."""
-    passed: bool
-    """True where the number lies between the bounds."""
-
-    @classmethod
-    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
-        """The check of a number; NaN fails."""
-        passed = bool(low <= value <= high)
-        return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
-
-    def within(self, low: float, high: float) -> Self:
-        """The check of the same number with other limits."""
-        return self.of(self.what, self.statistic, math.nan if self.value is None else self.value, low, high)
-
-    def sentence(self) -> str:
-        """The value and its limits, as a sentence."""
-        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
-        return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
-
-
-CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
-TRIALS = Table(
-    "trials.csv",
-    "what was found in each trial that gave a result, one row a trial and parameter",
-    (
-        *numbers(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
-        *texts(parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"),
-        *numbers("r", truth="true value", estimate="what the calibrator found", sigma="that it states"),
-        *numbers(".6g", z="(estimate - truth) / sigma"),
-        *numbers("r", ltsim_estimate="what ltsim found in the same recording, where another calibrator is checked"),
-    ),
-)
-
-
 class TrackerSettings(Entry):
     """Tracker of a scenario, with all settings that the scenario gives it."""
 
@@ -268,27 +221,3 @@ class ManifestFile(ResultFile):
     """The campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell."""
-
-
-class RecoveryFile(ResultFile):
-    """`recovery.json`: from `recover`."""
-
-    FILE: ClassVar[str] = "recovery.json"
-    format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
-    """Format and version of this file."""
-    passed: bool
-    """All checks passed, and no parameter is without one unless that was allowed."""
-    errors: Errors = "drawn"
-    """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
-    trials: Whole
-    """Number of trials."""
-    converged: Whole
-    """Number of trials that gave a result."""
-    seed: Whole
-    """Root of the random draws."""
-    checks: tuple[RecoveryCheck, ...]
-    """Checks of one number each."""
-    unchecked: tuple[str, ...] = ()
-    """Parameters that nothing was checked of: neither a sigma in each trial nor a tolerance."""
-    problem: str = ""
-    """Reason of the failure of the last trial without a result."""

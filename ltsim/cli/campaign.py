@@ -148,51 +148,40 @@ def recover(
 
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
+    from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.recovery_checks import FALSE_ALARM
-    from ltsim.campaigns.schema import TRIALS, RecoveryFile
+    from ltsim.campaigns.recovery_trials import TRIALS
 
-    terminal.check_overwrite(RecoveryFile, TRIALS.file)
+    terminal.check_overwrite(Recovery, TRIALS.file)
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    trials = {TRIALS.file: result.table("trials").csv()}
-    checks = result.checks()
-    content = RecoveryFile(
-        passed=result.passed,
-        errors=result.errors,
-        trials=len(result.trials),
-        converged=len(result.converged),
-        seed=options["seed"],
-        checks=tuple(checks),
-        unchecked=result.unchecked(),
-        problem=result.problem,
-    )
-    content = terminal.write(content, lambda: trials)
+    result = terminal.write(result, lambda: {TRIALS.file: result.table("trials").csv()})
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
-    terminal.answer(content.content())
-    terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "fewer than two trials converged")
+    terminal.answer(result.content())
+    terminal.say(result.table("parameters").text() if result.converged > 1 else "fewer than two trials converged")
     for sentence in result.problems():
         streams.write(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
-    rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
-    done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
+    rate = "" if result.tolerances else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
+    done = f"{result.trials} trials, errors {MODES[result.errors]}"
     terminal.say(f"{done}: {result.verdict()}{rate}")
 
 
 def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: one test case per check, with value and limits; the run time is divided evenly."""
-    checks = result.checks()
-    unchecked = result.unchecked()
-    failed, each = sum(not check.passed for check in checks), f"{result.seconds / len(checks):.3f}"
+    checks, unchecked = result.checks, result.unchecked
+    failed, seconds = len(result.failures()), result.arrays.seconds
+    each = f"{seconds / len(checks):.3f}"
     lost = 0 if result.allow_unchecked else len(unchecked)
     counts = {
         "tests": str(len(checks) + len(unchecked)),
         "failures": str(failed + lost),
         "errors": "0",
         "skipped": str(len(unchecked) - lost),
-        "time": f"{result.seconds:.3f}",
+        "time": f"{seconds:.3f}",
     }
     root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:

@@ -262,22 +262,21 @@ def uncertainty(
         return 0
     if file is None:
         raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
-    from ltsim.measurands.files import BUDGET, RESULTS, UncertaintyFile, compared
     from ltsim.measurands.spec import load_tasks
+    from ltsim.measurands.uncertainty import BUDGET, RESULTS, Uncertainty, compared
     from ltsim.recordings.result_file import read_result
     from ltsim.reports.sections import section_of
 
-    terminal.check_overwrite(UncertaintyFile, RESULTS.file, BUDGET.file)
+    terminal.check_overwrite(Uncertainty, RESULTS.file, BUDGET.file)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
     drawn = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
     recording = _recording(terminal, tasks, file, drawn, in_file=source is None)
     with terminal.progress("drawing trials"):
-        evaluation = lt.uncertainty(recording, tasks, **options)
-    content = evaluation.content
-    other = None if against is None else compared(content, read_result(against, UncertaintyFile))
-    tables = [evaluation.table(name) for name in ("results", "budget")]
+        content = lt.uncertainty(recording, tasks, **options)
+    other = None if against is None else compared(content, read_result(against, Uncertainty))
+    tables = [content.table(name) for name in ("results", "budget")]
     content = terminal.write(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
     if other is not None:

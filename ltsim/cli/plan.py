@@ -17,7 +17,7 @@ from ltsim.core.errors import RecordError, SetupError
 
 if TYPE_CHECKING:
     from ltsim.physics.effects.signature import Signature
-    from ltsim.planning.plan import Plan
+    from ltsim.planning.result import Plan
     from ltsim.planning.survey import Survey
     from ltsim.planning.verbs import Alternative
     from ltsim.recordings import Recording
@@ -76,13 +76,14 @@ def plan(
     Example: ltsim plan paper-workshop --out my-plan
     """
     from ltsim.planning.loading import plan_names, plan_text
-    from ltsim.planning.result import NextFile, PlanResult
-    from ltsim.planning.tables import NEXT, TABLES
+    from ltsim.planning.proposals import NEXT, NextMeasurement
+    from ltsim.planning.result import Plan
+    from ltsim.planning.tables import TABLES
 
     if after is not None:
         if source is not None:
             raise SetupError("ltsim plan needs either FILE or --after REC, not both")
-        check_overwrite(out, NextFile, (NEXT.file,), force=force)
+        check_overwrite(out, NextMeasurement, (NEXT.file,), force=force)
         return _after(terminal, reading.of(after), _explanations(between), out)
     if between is not None:
         raise SetupError("--between needs --after REC, the recording that has several explanations")
@@ -101,7 +102,7 @@ def plan(
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     check_overwrite(
-        folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force
+        folder, Plan, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force
     )
     if changes:
         with terminal.progress("judging the layout"):
@@ -138,8 +139,9 @@ def _show_places(terminal: Terminal, source: str, alternatives: Sequence[Alterna
 
 def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
     """The plan of a search; the best layout so far is printed and written during the search."""
-    from ltsim.planning.files import opened, with_cad_copied, with_layout
+    from ltsim.planning.layout_scenario import with_cad_copied, with_layout
     from ltsim.planning.making import Follower
+    from ltsim.planning.result import opened
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import bodies_of
@@ -164,7 +166,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 
 
 def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
-    from ltsim.planning.plan import write_plan
+    from ltsim.planning.result import write_plan
 
     with terminal.progress("writing tables, pictures and the work order"):
         content = write_plan(made, folder, {} if folder is None else _drawn(made))
@@ -180,9 +182,8 @@ def _drawn(made: Plan) -> dict[str, bytes]:
     from ltsim.reports.style import png
     from ltsim.reports.work_order import work_order_page
 
-    content = made.content
     drawn = {PAGE: work_order_page(made).encode(), FLOOR: png(made.plot())}
-    return drawn | ({TRADE_OFF: png(trade_off(content, next(iter(content.quality))))} if content.tradeoff else {})
+    return drawn | ({TRADE_OFF: png(trade_off(made, next(iter(made.quality))))} if made.tradeoff else {})
 
 
 def _percent(advance: Any) -> Any:
@@ -210,9 +211,7 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
     from ltsim.diagnosis.detectability import open_question
-    from ltsim.planning.files import next_csv, next_file
-    from ltsim.planning.tables import NEXT
-    from ltsim.recordings.result_file import SourceEntry, write_result
+    from ltsim.recordings.result_file import write_result
 
     terminal.say(recording.headline)
     summary = ""
@@ -225,13 +224,14 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
         between, modelled = open_question(diagnosis)
     with terminal.progress("trying further measurements", 200) as advance:
         reports: dict[str, Any] = {}
-        made = lt.next_measurement(
+        content = lt.next_measurement(
             recording,
             between=between,
             with_effects=modelled,
             progress=lambda task, fraction: reports.setdefault(task, _percent(advance))(task, fraction),
         )
-    content = next_file(made, summary, SourceEntry.of(recording))
+    content = content.model_copy(update={"diagnosis": summary})
     if out is not None:
-        content = write_result(out, content, {NEXT.file: next_csv(content)})
+        table = content.table()
+        content = write_result(out, content, {table.file: table.csv()})
     terminal.result(content, out)

@@ -109,7 +109,7 @@ def view(
 
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
-    from ltsim.planning.files import PLAN, SCENARIO
+    from ltsim.planning.layout_scenario import PLAN, SCENARIO
     from ltsim.reports.board.board import Board
     from ltsim.reports.board.server import BoardAccess, serve
 

@@ -1,32 +1,26 @@
 """The whole evaluation: readings to results, uncertainty twice, budget, verdicts."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.calibration.result import frame_of
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.results import Result, Table
-from ltsim.measurands.files import BudgetPart, Distribution, TaskResult, UncertaintyFile, conformity
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, Output
 from ltsim.measurands.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
 from ltsim.measurands.spec import Task, Tasks
+from ltsim.measurands.uncertainty import BudgetPart, Distribution, TaskResult, Uncertainty, conformity
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MOST_REPORTED = 8
-"""Number of results in the summary lines of an evaluation."""
-
 
 @dataclass(frozen=True, repr=False)
-class Evaluation(Result):
-    """Results of tasks on a recording, with their uncertainty."""
+class Evaluation:
+    """Propagation and Monte Carlo of tasks on a recording, as arrays; `result` is what `uncertainty` returns."""
 
     tasks: Tasks
     inputs: Inputs
@@ -40,17 +34,8 @@ class Evaluation(Result):
     curved: Floats
     """(k,): gap between the exact adjustment and its linear form, in standard uncertainties."""
 
-    def _lines(self) -> list[str]:
-        lines = [r.words for r in self.content.results[:MOST_REPORTED]]
-        more = len(self.results) - len(lines)
-        head = f"{len(self.results)} results, {100 * self.content.coverage:g} % intervals, {self.drawn.trials} trials"
-        return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
-
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return self.content.tables()
-
     @property
-    def results(self) -> list[tuple[Task, Output]]:
+    def outputs(self) -> list[tuple[Task, Output]]:
         """Task and output of each of the k results, in order."""
         return [(m.task, output) for m in self.measurands for output in m.outputs]
 
@@ -59,7 +44,7 @@ class Evaluation(Result):
         """Warnings on figures that are less reliable than they seem, one sentence each."""
         air = self.inputs.air
         warnings = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
-        for i, (task, output) in enumerate(self.results):
+        for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > CURVED:
                 gap = f"off by {self.curved[i]:.2g} of it"
@@ -76,15 +61,15 @@ class Evaluation(Result):
             )
         return warnings
 
-    @cached_property
-    def content(self) -> UncertaintyFile:
-        """The contents of uncertainty.json."""
+    @property
+    def result(self) -> Uncertainty:
+        """The values with their uncertainties in the units of the tasks."""
         origin = self.inputs.origin
         if isinstance(origin, Coordinates):
             source, frame, sigma0 = SourceEntry.listed(origin), "that of the list of coordinates", None
         else:
             source, frame, sigma0 = SourceEntry.of(origin.recording), frame_of(origin), origin.sigma0
-        return UncertaintyFile(
+        return Uncertainty(
             recording=source,
             title=self.tasks.title,
             source=self.tasks.source,
@@ -92,7 +77,7 @@ class Evaluation(Result):
             trials=self.drawn.trials,
             frame=frame,
             sigma0=sigma0,
-            results=tuple(self._result(i, task, output) for i, (task, output) in enumerate(self.results)),
+            results=tuple(self._result(i, task, output) for i, (task, output) in enumerate(self.outputs)),
             correlation=tuple(tuple(row) for row in self.linear.correlation.tolist()),
             warnings=tuple(self.warnings),
         )

@@ -8,8 +8,9 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.core.errors import ModelError, option
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare as compared, compare_coordinates
-from ltsim.measurands.evaluation import Evaluation, evaluate_listed_tasks, evaluate_tasks
+from ltsim.measurands.evaluation import evaluate_listed_tasks, evaluate_tasks
 from ltsim.measurands.spec import FORMAT, Tasks, load_tasks, tasks_from
+from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects.verbs import names
 from ltsim.physics.model.construction import declared_construction, ideal
 from ltsim.recordings.coordinates import Coordinates, holds_coordinates, read_coordinates
@@ -22,7 +23,7 @@ def uncertainty(
     tasks: str | Path | Mapping[str, Any] | Tasks,
     *,
     seed: int | None = None,
-) -> Evaluation:
+) -> Uncertainty:
     """Say how well tasks (lengths, angles, features, ...) are known: by propagation and by Monte Carlo, with budgets.
 
     Parameters
@@ -61,8 +62,8 @@ def uncertainty(
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
     listed = _coordinates_of(recording)
     if listed is not None:
-        return evaluate_listed_tasks(listed, given)
-    return evaluate_tasks(recording_of(recording), given)  # type: ignore[arg-type]
+        return evaluate_listed_tasks(listed, given).result
+    return evaluate_tasks(recording_of(recording), given).result  # type: ignore[arg-type]
 
 
 def compare(

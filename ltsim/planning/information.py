@@ -25,7 +25,6 @@ from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment
-from ltsim.planning.schema import PlannedParameterEntry
 from ltsim.planning.survey import Survey
 from ltsim.solve.design import as_dense
 
@@ -130,21 +129,6 @@ class LayoutInformation:
     def target_rms(self) -> float:
         """[m] Root mean square point error over all targets, weighted as the survey says."""
         return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
-
-    def parameters(self) -> list[PlannedParameterEntry]:
-        """Planned parameters, one row each, in display units."""
-        return [
-            PlannedParameterEntry(
-                name=p.name,
-                unit=p.unit,
-                sigma=float(sigma / p.factor),
-                prior_sigma=float(prior / p.factor),
-                gain=float(1.0 - (sigma / prior) ** 2),
-            )
-            for p, sigma, prior in zip(
-                self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True
-            )
-        ]
 
 
 KINDS = {

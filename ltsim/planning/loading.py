@@ -13,8 +13,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.rules import FEWEST
-from ltsim.planning.site import Placement
+from ltsim.planning.site import FEWEST, Placement
 from ltsim.planning.spec import WALLS, PlanFile, Point
 from ltsim.recordings.coordinates import Points, read_points as read_coordinates
 from ltsim.recordings.files import comma_number, shown

@@ -9,8 +9,7 @@ from ltsim.adjustment.remedies.next_measurement import Progress, quiet
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.planning.plan import Plan
-from ltsim.planning.planner import StationCountResult, TradeoffPoint, judge, measure
+from ltsim.planning.planner import PlannedNetwork, StationCountResult, TradeoffPoint, judge, measure
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Placement, SearchSpace
 from ltsim.planning.spec import PlanFile
@@ -47,7 +46,7 @@ class Follower:
     """Callback for the best layout so far."""
 
 
-def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Follower | None = None) -> Plan:
+def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Follower | None = None) -> PlannedNetwork:
     """Search and explain; the same file gives the same plan whatever the number of jobs.
 
     Ctrl-C ends the search: the plan is then that of the best layout so far, and says so. SetupError where no layout
@@ -64,14 +63,13 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     made = judge(search.file, scenario, best.survey)
     heard.progress("judging tolerances and changes", 1.0)
     values = search.layouts.get((len(best.survey.position), len(best.survey.faces)), [])
-    network = replace(
+    return replace(
         made,
         options=search.options(search.layouts),
         spread=tuple(sorted(value for value, _, _ in values)),
         tried=tuple(search.tried),
         stopped=search.stopped,
     )
-    return Plan.of(network)
 
 
 @dataclass

@@ -12,8 +12,7 @@ from ltsim.planning.fast import LayoutScorer
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
 from ltsim.planning.reflectors import Changes, reflector_changes
-from ltsim.planning.rules import BrokenRule
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.site import BrokenRule, SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import PlanVerdict, ToleranceCheck, Tolerances, every_loss, judged, verdict

@@ -10,9 +10,9 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.plan_entries import PlannedParameterEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork, StationCountResult, TradeoffPoint, measure
-from ltsim.planning.rules import too_near, words_of
-from ltsim.planning.site import MOST_NAMED
+from ltsim.planning.site import MOST_NAMED, too_near, words_of
 from ltsim.planning.tolerances import against, keeps, loss_sentences
 from ltsim.planning.workshop import objective_of
 
@@ -147,7 +147,9 @@ def _shown(name: str, value: float) -> str:
 
 
 def _parameters(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[str]:
-    pairs = list(zip(reference.information.parameters(), chosen.information.parameters(), strict=True))
+    pairs = list(
+        zip(PlannedParameterEntry.of(reference.information), PlannedParameterEntry.of(chosen.information), strict=True)
+    )
     pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
     words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
     gained = [text for ratio, text in words[:4] if ratio > 1.05]

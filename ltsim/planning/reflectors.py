@@ -17,7 +17,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.fast import LayoutScorer, Reduced
 from ltsim.planning.objective import LEAST_IMPROVEMENT, TARGETS, Objective
-from ltsim.planning.schema import PlanChange, in_millimetres
+from ltsim.planning.plan_change import PlanChange, in_millimetres
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import Survey
 from ltsim.scene.visibility import aimed_normals

@@ -1,27 +1,36 @@
-"""The results of planning, declared once: Python object, JSON, terminal and page."""
+"""The result of planning, declared once: Python object, JSON, tables, terminal and page."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Literal
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
+from ltsim.adjustment.remedies.detectability import detectability
+from ltsim.core.errors import ModelError
 from ltsim.core.results import Result, Table
+from ltsim.physics.effects import CATALOGUE
 from ltsim.planning import tables
-from ltsim.planning.schema import (
-    ConfusablePair,
-    DetectableSize,
-    LayoutEntry,
-    LossEntry,
-    OptionEntry,
-    PlanChange,
-    ProposalEntry,
-)
+from ltsim.planning.layout_scenario import PLAN, SCENARIO, planned_scenario, with_cad_copied
+from ltsim.planning.loading import load_plan
+from ltsim.planning.plan_change import PlanChange
+from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, LayoutEntry, LossEntry, OptionEntry
+from ltsim.planning.planner import PlannedNetwork
+from ltsim.planning.reasons import fewest, reasons
+from ltsim.planning.spec import PlanFile
 from ltsim.planning.tolerances import percent
-from ltsim.recordings.result_file import Finite, OptionalFloat, ResultFile
+from ltsim.recordings.result_file import OptionalFloat, ResultFile, read_result, write_result
+from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
+from ltsim.simulation.workshop import bodies_of
+
+FRAME = (
+    "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, counter-clockwise from x"
+)
+"""Coordinate system of all coordinates, in words."""
 
 
-class PlanResult(ResultFile, LayoutEntry, Result):
-    """`plan.json`: from `plan`."""
+class Plan(ResultFile, LayoutEntry, Result):
+    """`plan.json`: the result of `plan`, in Python, on the terminal and on the page."""
 
     FILE: ClassVar[str] = "plan.json"
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
@@ -66,7 +75,47 @@ class PlanResult(ResultFile, LayoutEntry, Result):
     silent: tuple[str, ...] = ()
     """Effects that leave no trace in the residuals."""
 
+    _network: PlannedNetwork | None = PrivateAttr(None)
+
     __repr__ = __str__ = Result.__repr__
+
+    @classmethod
+    def of(cls, network: PlannedNetwork) -> Self:
+        """The result of a planned network."""
+        sentences, few, judged = reasons(network), fewest(network), network.verdict
+        report = detectability(network.chosen.information.adjustment, CATALOGUE)
+        made = cls.of_layout(
+            network.chosen,
+            network.check,
+            title=network.file.title or network.scenario.title,
+            summary=sentences[0],
+            reasons=tuple(sentences[1:]),
+            frame=FRAME,
+            reference=None if network.reference is None else LayoutEntry.of_layout(network.reference),
+            fewest_stations=None if few is None else OptionEntry.of(few),
+            tradeoff=tuple(OptionEntry.of(option) for option in network.options),
+            reflector_changes=network.changes.reported,
+            changes_tried=network.changes.summary,
+            starts=network.spread,
+            bodies=tuple(body.words for body in bodies_of(network.scenario)),
+            reached=None if judged is None else judged.reached,
+            tolerances_met=None if network.check is None else network.check.good,
+            losses=tuple(LossEntry.of(loss) for loss in network.losses),
+            settings=network.file.model_dump(mode="json"),
+            seed=network.file.search.seed,
+            detectable=tuple(DetectableSize.of(row) for row in report.table()),
+            confusable=tuple(ConfusablePair.of(pair) for pair in report.confusable()),
+            silent=report.silent,
+        )
+        made._network = network
+        return made
+
+    @property
+    def network(self) -> PlannedNetwork:
+        """The planned network as arrays; raises ModelError for a plan that was read from a file."""
+        if self._network is None:
+            raise ModelError("a plan read from a file has no arrays; call lt.plan with its folder and move={}")
+        return self._network
 
     def _lines(self) -> list[str]:
         return [self.summary, *self.reasons[:1]]
@@ -132,19 +181,24 @@ class PlanResult(ResultFile, LayoutEntry, Result):
         )
 
 
-class NextFile(ResultFile):
-    """`next.json`: from `plan --after`."""
+def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
+    """Write plan.json, the tables, scenario.toml and pictures, where a folder is given; the plan with their digests."""
+    if folder is None:
+        return plan
+    network = plan.network
+    companions = [plan.table(name) for name in plan._tables()]
+    companions += [tables.visibility_table(network.chosen), tables.work_table(network)]
+    scenario, cad = with_cad_copied(planned_scenario(network))
+    texts = {table.file: table.csv() for table in companions} | {SCENARIO: scenario_to_toml(scenario)}
+    return write_result(folder, plan, {**texts, **cad, **(pictures or {})})
 
-    FILE: ClassVar[str] = "next.json"
-    format: Literal["ltsim-next/1"] = "ltsim-next/1"
-    """Format and version of this file."""
-    diagnosis: str = ""
-    """Result of the diagnosis, as a sentence."""
-    between: tuple[str, ...] = ()
-    """The explanations to decide between."""
-    evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Difference of chi-square between the first explanation and each other one, in the recording as it is."""
-    advice: str = ""
-    """First action to take, as a sentence."""
-    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
-    """Proposals of further measurements, the best first."""
+
+def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
+    """A plan and its scenario: a plan file, a scenario, a plan's folder with its stations, or what the board saved."""
+    folder = Path(source)
+    if (folder / PLAN).is_file():
+        return load_plan(folder / PLAN)
+    if not folder.is_dir():
+        return load_plan(source)
+    file = PlanFile.model_validate(read_result(folder, Plan).settings)
+    return file, load_scenario(folder / SCENARIO)

@@ -1,9 +1,14 @@
-"""Candidate places of stations and reflectors: floor, heights, obstacles, sight, spacing."""
+"""Candidate places of stations and reflectors, and the rules of a layout: floor, heights, obstacles, sights, spacing.
+
+`SearchSpace.feasible` is the test of the search for many layouts at once, `SearchSpace.broken_rules` names the rules
+that a single layout breaks; both are made of the same functions.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,12 +18,17 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
 from ltsim.core.values import ValueEquality
-from ltsim.planning.rules import FEWEST, TOUCH, BrokenRule, short_of_sights, short_of_targets, too_near
 from ltsim.planning.survey import Survey
 from ltsim.scene.floor import Area, KeepOut, may_stand, objection, over
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
 
+FEWEST = 3
+"""Targets in sight that a station needs."""
+TOUCH = 1e-3
+"""[m] Distance within which a station and a point coincide."""
+SLACK = 1e-9
+"""[m] Tolerance of the minimum spacing of two stations, for rounding."""
 NEST_STEPS = 60
 NEST_MARGIN = 0.004
 """Steps of the iteration that aims fixed nests, and what is kept free for it [rad]."""
@@ -29,6 +39,36 @@ NODES = 3000
 """Limit on the nodes of the branch-and-bound tree; a few are enough in the halls that were tried."""
 TIE = 1e-4
 """Random costs of places, small against that of a missing sight: another answer for each draw."""
+
+
+class BrokenRule(NamedTuple):
+    """A rule of the plan that a layout breaks."""
+
+    words: str
+    """A sentence without its full stop, with the numbers and the key of the plan file."""
+    stations: tuple[str, ...] = ()
+    """Stations whose places break it; none where it is about sights."""
+
+
+def words_of(rules: Sequence[BrokenRule]) -> str:
+    """Broken rules in one line; empty for none."""
+    return "; ".join(rule.words for rule in rules)
+
+
+def too_near(position: Floats, spacing: float) -> Bools:
+    """(B, S, S): pairs of stations of layouts (B, S, 3) [m] nearer than the spacing [m] seen from above, once each."""
+    gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
+    return np.asarray(np.triu(gap <= spacing - SLACK, 1))
+
+
+def short_of_sights(visible: Bools, least: int) -> Bools:
+    """(B, T): targets that fewer than `least` stations see; `visible` is (B, S, T)."""
+    return np.asarray(visible.sum(axis=1) < least)
+
+
+def short_of_targets(visible: Bools) -> Bools:
+    """(B, S): stations that see fewer than `FEWEST` targets; `visible` is (B, S, T)."""
+    return np.asarray(visible.sum(axis=2) < FEWEST)
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,8 @@ class Stations(TomlSection):
     """Numbers of stations of the trade-off curve."""
     fixed: tuple[str, ...] = ()
     """Stations of the scenario that stay."""
-    spacing_mm: NonNegative = 1000.0
-    """Smallest distance between two stations, seen from above."""
+    spacing_mm: Annotated[Finite, Field(ge=1)] = 1000.0
+    """Smallest distance between two stations, seen from above; at least 1 mm, since no two tripods share a place."""
     position_tolerance_mm: NonNegative = 50.0
     """Largest distance of an instrument from its place at which every sight must still be free."""
     min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"

@@ -1,7 +1,9 @@
-"""Tables of plans and of next measurements, each declared once: CSV, data frame, terminal and page."""
+"""Tables of plans, each declared once: CSV, data frame, terminal and page."""
 
-from ltsim.core.results import Table, columns_of, flags, numbers, texts
-from ltsim.planning.schema import ConfusablePair, DetectableSize, OptionEntry, ProposalEntry
+from ltsim.core.results import Column, Table, columns_of, flags, numbers, texts
+from ltsim.core.units import DEGREE, MILLIMETRE
+from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, OptionEntry
+from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
 PLACE = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
 STATIONS = Table(
@@ -59,22 +61,30 @@ WORK = Table(
         *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
+SETUPS = Table(
+    "setups.csv",
+    "places of the tripods by tape",
+    (
+        *texts(station="name"),
+        *(
+            Column(f"tape_{i}", "distance and its end; two set the place, the third checks it", "text")
+            for i in (1, 2, 3)
+        ),
+        Column("towards", "direction of azimuth zero", "text", title="azimuth zero looks"),
+        Column("height_m", "of the centre of the head over the floor", shown=".2f", title="head over floor"),
+    ),
+)
 TRADEOFF = Table(
     "tradeoff.csv",
     "ways of working, each with the best layout found for it",
-    columns_of(OptionEntry, "stations faces repeats pointings hours value efficient"),
-)
-EFFECTS = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
-NEXT = Table(
-    "next.csv",
-    "proposals of further measurements, the best first",
-    columns_of(
-        ProposalEntry,
-        "kind minutes sharper serves serves_factor distinguishes decides do",
-        distinguishes={"kind": "text"},
-        decides={"kind": "text"},
+    (
+        *columns_of(OptionEntry, "stations faces repeats pointings hours"),
+        *columns_of(OptionEntry, "value", value={"title": "objective"}),
+        Column("value_um", "objective, where it is the error of the targets alone", title="objective"),
+        *columns_of(OptionEntry, "efficient", efficient={"title": "best in its time"}),
     ),
 )
+EFFECTS = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
 TOLERANCES = Table(
     "tolerances.csv",
     "points against their tolerances",
@@ -126,3 +136,30 @@ TABLES = (
     CONFUSABLE, VISIBILITY,
 )  # fmt: skip
 """Tables written with plan.json."""
+
+
+def visibility_table(layout: LayoutEvaluation) -> Table:
+    """`visibility.csv`: every pair of a station and a target."""
+    words, table, survey = layout.table.words(), layout.table, layout.survey
+    return VISIBILITY.filled(
+        [
+            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
+            round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
+        ]
+        for s, station in enumerate(survey.station_names)
+        for t, target in enumerate(survey.target_names)
+    )  # fmt: skip
+
+
+def work_table(plan: PlannedNetwork) -> Table:
+    """`work-order.csv`: every pointing with the readings of a perfect instrument at its place."""
+    recording = plan.chosen.survey.recording(plan.chosen.information.construction)
+    return WORK.filled(
+        [
+            i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
+            int(recording.face[i]), int(recording.repeat[i]), round(float(recording.time[i]) / 60.0, 2),
+            round(float(reading[1]) / DEGREE % 360, 3), round(float(reading[2]) / DEGREE, 3),
+            round(float(reading[0]) / MILLIMETRE, 1),
+        ]
+        for i, reading in enumerate(recording.readings)
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.rules import BrokenRule, words_of
+from ltsim.planning.site import BrokenRule, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 

@@ -6,22 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
+from ltsim.adjustment.remedies.next_measurement import Progress, next_measurement as ranked, quiet
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.planning.files import opened
+from ltsim.physics.effects.signature import Signature
 from ltsim.planning.making import Follower, make_plan
-from ltsim.planning.plan import Plan
-from ltsim.planning.planner import judge
-from ltsim.planning.rules import words_of
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.planner import PlannedNetwork, judge
+from ltsim.planning.proposals import NextMeasurement
+from ltsim.planning.result import Plan, opened
+from ltsim.planning.site import SearchSpace, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Tolerances, judged, losses_of, verdict
 from ltsim.planning.workshop import as_it_stands
+from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
 CLEAR = 2.0
@@ -76,10 +78,54 @@ def plan(
     check_bounds(starts=starts, seed=seed, jobs=jobs)
     file, scenario = opened(source)
     if move is not None:
-        return _moved(file, scenario, move)
+        return Plan.of(_moved(file, scenario, move))
     changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
     file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
-    return make_plan(file, scenario, jobs=jobs, follower=follower or Follower(progress))
+    return Plan.of(make_plan(file, scenario, jobs=jobs, follower=follower or Follower(progress)))
+
+
+def next_measurement(
+    recording: RecordingSource,
+    *,
+    between: Sequence[str] = (),
+    with_effects: str | Signature | Sequence[str | Signature] = (),
+    minutes_per_move: float = 20.0,
+    progress: Progress = quiet,
+) -> NextMeasurement:
+    """Rank further measurements after a recording.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    between : sequence of str
+        Names of two or more effects: rank by how many are told from the first, of these what asks least of a person
+        and is done first, then by the evidence between them; none: rank what can be pointed at from here or from a
+        further station by what it tells about the instrument's parameters.
+    with_effects : str, Effect or sequence of them
+        What has been found already beside the question; of a name, where it fits the residuals best.
+    minutes_per_move : float
+        What it costs to move the tripod.
+    progress : callable
+        Told what is done and the share of it.
+
+    Raises
+    ------
+    ModelError
+        When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> proposals = lt.next_measurement(recording)
+    >>> proposals.proposals[0].sharper < 1
+    True
+    """
+    measured = recording_of(recording)
+    made = ranked(
+        measured, between=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
+    )
+    return NextMeasurement.of(made, SourceEntry.of(measured))
 
 
 @dataclass(frozen=True)
@@ -143,7 +189,7 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
     return (alone, *sorted(alternatives, key=lambda option_: (not option_.good, option_.worth)))
 
 
-def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]]) -> Plan:
+def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]]) -> PlannedNetwork:
     """The plan with stations at other places: x, y, z [mm] and yaw [deg] of each, the last of them left out.
 
     Raises SetupError where no tripod may stand there.
@@ -161,7 +207,7 @@ def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]
     wrong = [rule for rule in site.broken_places(survey) if {*rule.stations} & {*to}]
     if wrong:
         raise SetupError(f"{option('move')}: {words_of(wrong)}")
-    return Plan.of(judge(file, scenario, survey.replace(visible=site.visible(position))))
+    return judge(file, scenario, survey.replace(visible=site.visible(position)))
 
 
 def _at(station: str, place: Floats) -> str:

@@ -45,6 +45,11 @@ class TapeDistance:
     metres: float
     floor: bool
 
+    @property
+    def words(self) -> str:
+        """The distance with its end."""
+        return f"{self.metres:.2f} m to {self.to}{'' if self.floor else ' (straight)'}"
+
     @classmethod
     def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> TapeDistance:
         """Tape distance from an instrument at `station` (3,) [m]."""

@@ -11,7 +11,6 @@ from ltsim.adjustment import Adjustment
 from ltsim.adjustment.evaluation.bench import BenchFile
 from ltsim.adjustment.evaluation.criteria import Criteria
 from ltsim.adjustment.fieldcheck.check import Check
-from ltsim.adjustment.remedies.next_measurement import NextMeasurement
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
@@ -23,9 +22,10 @@ from ltsim.core.results import Result
 from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.measurands.comparison import Comparison
-from ltsim.measurands.evaluation import Evaluation
-from ltsim.planning.files import planned_scenario
-from ltsim.planning.plan import Plan
+from ltsim.measurands.uncertainty import Uncertainty
+from ltsim.planning.layout_scenario import planned_scenario
+from ltsim.planning.proposals import NextMeasurement
+from ltsim.planning.result import Plan
 from ltsim.recordings import Recording
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.parameters import (
@@ -65,7 +65,7 @@ figure_of.register(Scenario, lambda result: floor_plan(from_scenario(result)))
 figure_of.register(Recording, lambda result: floor_plan(from_recording(result)))
 figure_of.register(View, lambda result: floor_plan(result.workshop))
 figure_of.register(Adjustment, lambda result: residuals_by_station(Residuals.from_adjustment(result)))
-figure_of.register(Evaluation, lambda result: budget_of(result.content))
+figure_of.register(Uncertainty, budget_of)
 
 
 @figure_of.register
@@ -107,7 +107,8 @@ def _(result: History) -> Figure:
 @figure_of.register
 def _(result: Plan) -> Figure:
     """The floor with the chosen layout, as floor.png of a plan's folder."""
-    return floor_plan(from_scenario(planned_scenario(result)), coordinates=True, ground=result.file.floor)
+    network = result.network
+    return floor_plan(from_scenario(planned_scenario(network)), coordinates=True, ground=network.file.floor)
 
 
 @figure_of.register
@@ -136,20 +137,21 @@ def _(result: InjectionCurve) -> Figure:
 @figure_of.register
 def _(result: Recovery) -> Figure:
     """The errors of each parameter over their stated sigmas, those of a calibrator without sigmas over their rms."""
-    if not result.converged:
+    trials = result.arrays
+    if not trials.converged:
         raise ModelError("no trial of this recovery converged; there is no figure")
-    error = np.array([trial.estimate - trial.truth for trial in result.converged])
-    has_sigmas = np.isfinite(result.z).all()
-    shown = result.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
+    error = np.array([trial.estimate - trial.truth for trial in trials.converged])
+    has_sigmas = np.isfinite(trials.z).all()
+    shown = trials.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
-    rows = {name: (middle, low, high) for name, (middle, low, high) in zip(result.names, ends, strict=True)}
+    rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.names, ends, strict=True)}
     label = f"error / {'stated sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
     return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
 
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.remedy.words: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
+    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 

@@ -17,14 +17,17 @@ from ltsim.adjustment.evaluation.criteria import NOMINAL, CriteriaFile
 from ltsim.adjustment.fieldcheck import items as checks
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
-from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, summary_table
+from ltsim.campaigns.recovery import Recovery
+from ltsim.campaigns.recovery_trials import TRIALS
+from ltsim.campaigns.schema import ROWS, ManifestFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.core.results import Table
 from ltsim.diagnosis import schema as diagnosis
-from ltsim.measurands import comparison, files as uncertainty
+from ltsim.measurands import comparison, uncertainty
 from ltsim.measurands.spec import Tasks
 from ltsim.planning import tables as plan_tables
-from ltsim.planning.result import NextFile, PlanResult
+from ltsim.planning.proposals import NEXT, NextMeasurement
+from ltsim.planning.result import Plan
 from ltsim.planning.spec import PlanFile
 from ltsim.recordings.files import write_texts
 from ltsim.recordings.result_file import ResultFile
@@ -37,11 +40,11 @@ RESULTS: tuple[type[ResultFile], ...] = (
     HistoryFile,
     CriteriaFile,
     diagnosis.DiagnosisFile,
-    PlanResult,
-    NextFile,
+    Plan,
+    NextMeasurement,
     ManifestFile,
-    RecoveryFile,
-    uncertainty.UncertaintyFile,
+    Recovery,
+    uncertainty.Uncertainty,
     comparison.Comparison,
     checks.CheckFile,
     acceptance.AcceptanceFile,
@@ -66,14 +69,14 @@ TABLES: dict[str, tuple[Table, ...]] = {
     BenchFile.FILE: (BENCH,),
     "truth.json": (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
-    PlanResult.FILE: plan_tables.TABLES,
-    NextFile.FILE: (plan_tables.NEXT,),
+    Plan.FILE: plan_tables.TABLES,
+    NextMeasurement.FILE: (NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
-    uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
+    uncertainty.Uncertainty.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
-    RecoveryFile.FILE: (TRIALS,),
+    Recovery.FILE: (TRIALS,),
 }
 """Companion tables by the name of their result file."""
 

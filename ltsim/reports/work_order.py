@@ -1,43 +1,41 @@
 """Work order, a page for the shop floor: places of the tripods by tape, order of the measurements, checks."""
 
 from ltsim.core.units import MILLIMETRE
-from ltsim.planning.plan import Plan
+from ltsim.planning.result import Plan
+from ltsim.planning.tables import SETUPS
 from ltsim.planning.work_order import checks, settings_of
-from ltsim.reports.document import Block, Document, Grid, Note, Notes, Picture, Section
+from ltsim.reports.document import Block, Document, Note, Notes, Picture, Section, table_block
 from ltsim.reports.page import render, versions
 from ltsim.reports.words import duration
 
 
 def work_order_page(plan: Plan) -> str:
     """HTML page of the work order of a plan."""
-    survey = plan.chosen.survey
-    title = f"Work order: {plan.file.title or plan.scenario.title or 'the plan'}"
+    survey = plan.network.chosen.survey
+    title = f"Work order: {plan.title or 'the plan'}"
     section = Section(title=title, kind="Work order", answer=f"{survey.words}.", blocks=_blocks(plan))
     return render(Document(title, section.answer, "plain", [section], versions()))
 
 
 def _blocks(plan: Plan) -> list[Block]:
-    stations = settings_of(plan)
-    survey = plan.chosen.survey
-    rows = [
-        [s.name, f"{s.height:.2f}", *(f"{t.metres:.2f} m to {t.to}{'' if t.floor else ' (straight)'}" for t in s.tapes),
-         *[""] * (3 - len(s.tapes)), s.towards]
-        for s in stations
-    ]  # fmt: skip
-    header = ["station", "head over floor [m]", "tape 1", "tape 2", "tape 3", "azimuth zero looks"]
+    network = plan.network
+    stations, survey = settings_of(network), network.chosen.survey
+    places = SETUPS.filled(
+        [s.name, *(tape.words for tape in s.tapes), *[""] * (3 - len(s.tapes)), s.towards, s.height] for s in stations
+    )
     note = (
         "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
         "are from the centre of the head to the reflector. Two distances set the place, the third checks it."
     )
     note = " ".join([note, *(f"{s.name}: {s.lacking}" for s in stations if s.lacking)])
     blocks: list[Block] = [
-        Grid("Places of the tripods", header, rows, 6, note),
+        *table_block("Places of the tripods", places, note=note),
         Picture(
             "Floor plan",
             plan.plot,
             "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
         ),
-        Notes("Checks", checks(plan)),
+        Notes("Checks", checks(network)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
@@ -57,7 +55,7 @@ def _blocks(plan: Plan) -> list[Block]:
 
 def _before(plan: Plan) -> list[Block]:
     """Proposals to move or add a reflector before the work."""
-    worth = [change for change in plan.changes.reported if change.do != "remove"]
+    worth = [change for change in plan.reflector_changes if change.do != "remove"]
     if not worth:
         return []
     lines = [f"{c.deed}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]

@@ -14,6 +14,8 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.geometry.expansion import Expansion
+from ltsim.measurands.evaluation import evaluate_tasks
+from ltsim.measurands.spec import FORMAT, tasks_from
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance
@@ -156,7 +158,8 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     lt.write(recording, tmp_path / "rec")
     assert lt.read(tmp_path / "rec").setup == recording.setup
     task = {"name": "far", "kind": "distance", "targets": ["T01", "T20"]}
-    found = lt.uncertainty(recording, {"task": [task], "monte_carlo": {"most_trials": 10_000}})
+    tables = {"format": FORMAT, "source": "", "task": [task], "monte_carlo": {"most_trials": 10_000}}
+    found = evaluate_tasks(recording, tasks_from(tables, "tasks"))
     shares = found.linear.shares
     assert {"known lengths", "expansion of steel", "expansion of invar", "temperature of the gauge"} <= set(shares)
     assert found.linear.kinds["expansion of steel"] == "B"

@@ -43,8 +43,9 @@ def test_recovery_checks_every_trackers_parameters() -> None:
     drawn = from_prior(load_scenario("two-trackers"))
     assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers.values())
     found = lt.recover("two-trackers", trials=12, seed=1)
-    assert found.failures() == [] and found.z.shape == (12, 32)
-    assert found.names[0] == "range-offset@A" and found.names[31] == "elevation-second-order-sin@B"
+    assert found.failures() == [] and found.arrays.z.shape == (12, 32)
+    names = [p.parameter for p in found.parameters]
+    assert names[0] == "range-offset@A" and names[31] == "elevation-second-order-sin@B"
 
 
 @pytest.mark.long
@@ -53,6 +54,6 @@ def test_recovery_checks_every_trackers_parameters() -> None:
 def test_intervals_hold_for_every_construction_and_number_of_trackers(construction: str, trackers: str) -> None:
     changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
     changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
-    found = lt.recover(changed(TWO, changes, Path("hall.toml")), trials=60, seed=8)
+    found = lt.recover(changed(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
     assert len(found.converged) == 60
     assert 0.93 < np.mean(np.abs(found.z) < 1.96) < 0.97

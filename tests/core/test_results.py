@@ -187,8 +187,8 @@ def drawn(kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> lis
 
 
 CHANCES = ("found", "placed", "named")
-WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth", "PlanResult"}
-"""What is a list of words and sizes, and the content of a plan, which is drawn as the plan."""
+WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth"}
+"""Lists of words and sizes."""
 
 
 @pytest.mark.long

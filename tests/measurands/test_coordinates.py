@@ -183,8 +183,8 @@ def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path)
     np.testing.assert_allclose(read.displacements[3].sigma_um, known.displacements[3].sigma_um, rtol=1e-3)
     names = list(recordings[0].targets[:2])
     task = {"task": [{"name": "length", "kind": "distance", "targets": names}], "calibrate": False}
-    wanted = lt.uncertainty(recordings[0], task).content.results[0]
-    listed = lt.uncertainty(tmp_path / "0" / "targets.csv", task).content.results[0]
+    wanted = lt.uncertainty(recordings[0], task).results[0]
+    listed = lt.uncertainty(tmp_path / "0" / "targets.csv", task).results[0]
     assert listed.value == pytest.approx(wanted.value, abs=1e-5)
     assert listed.standard_uncertainty == pytest.approx(wanted.standard_uncertainty, rel=1e-5)
 

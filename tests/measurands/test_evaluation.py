@@ -15,11 +15,11 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.measurands.evaluation import Evaluation, evaluate_tasks
-from ltsim.measurands.files import UncertaintyFile, compared, conformity, normalised_error
 from ltsim.measurands.inputs import Inputs, Source
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.propagation import draw, expansion_of, propagate, shortest_intervals
 from ltsim.measurands.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
+from ltsim.measurands.uncertainty import Uncertainty, compared, conformity, normalised_error
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings import write
 from ltsim.recordings.recording import ENDINGS
@@ -91,7 +91,7 @@ def test_budgets_add_up_and_both_ways_agree() -> None:
     found = evaluated()
     total = np.sum(list(found.linear.shares.values()), axis=0)
     assert np.allclose(total, np.diag(found.linear.covariance), rtol=1e-9)
-    regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.results]
+    regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.outputs]
     assert np.allclose((found.drawn.sigma / found.linear.sigma)[regular], 1.0, atol=0.03)
     assert found.curved[regular].max() < 0.05
 
@@ -99,7 +99,7 @@ def test_budgets_add_up_and_both_ways_agree() -> None:
 def test_it_is_said_where_linear_propagation_fails() -> None:
     """The points of the bore lie on a circle but for their noise: roundness cannot be negative."""
     found = evaluated()
-    roundness = [output.name for _, output in found.results].index("roundness")
+    roundness = [output.name for _, output in found.outputs].index("roundness")
     assert not found.agrees[roundness]
     assert any("bore, roundness" in sentence for sentence in found.warnings)
 
@@ -245,7 +245,7 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
 
 
 def test_results_against_themselves_differ_by_nothing() -> None:
-    content = evaluated().content
+    content = evaluated().result
     assert {value for _, value in compared(content, content)} == {0.0}
 
 
@@ -285,7 +285,7 @@ digits = 1
     (tmp_path / "tasks.toml").write_text(text)
     assert run(["uncertainty", str(tmp_path / "tasks.toml"), "--out", str(tmp_path / "out")]) == 1
     assert "rejected" in capsys.readouterr().out
-    content = read_result(tmp_path / "out", UncertaintyFile)
+    content = read_result(tmp_path / "out", Uncertainty)
     assert content.results[0].conformity is not None
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
     (tmp_path / "tasks.toml").write_text(text.replace('"recording"', '"nowhere"'))

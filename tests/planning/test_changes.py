@@ -13,9 +13,9 @@ from ltsim.physics.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
+from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.planner import measure
 from ltsim.planning.reflectors import choose_reflectors, reflector_changes
-from ltsim.planning.schema import PlanChange
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import fixed_of, site_of, staying
 from tests.planning.test_hall import HALL, points_csv

@@ -13,7 +13,6 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
 from ltsim.planning import reasons, work_order
-from ltsim.planning.files import plan_file
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
 from ltsim.planning.site import Placement, SearchSpace
@@ -203,11 +202,11 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
     counts = {}
     for robust in ("no", "station"):
         hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
-        made = lt.plan(hall)
+        content = lt.plan(hall)
+        made = content.network
         assert made.check is not None
         assert made.check.good
         counts[robust] = len(made.chosen.survey.position)
-        content = plan_file(made)
         assert content.tolerances_met
         assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
         stations = [loss for loss in content.losses if loss.lost in made.chosen.survey.station_names]
@@ -226,10 +225,9 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
 def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: Path) -> None:
     goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
-    made = lt.plan(hall)
-    assert made.check is not None
-    assert not made.check.good
-    content = plan_file(made)
+    content = lt.plan(hall)
+    assert content.network.check is not None
+    assert not content.network.check.good
     assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
     assert not content.reached
     assert any("with 2 to 2 stations" in sentence for sentence in content.reasons)
@@ -249,7 +247,7 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     monkeypatch.chdir(tmp_path)
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
     (tmp_path / "points.csv").write_text(points_csv().replace("M00,4710,", "M00,4710.123,"))
-    made = lt.plan(hall)
+    made = lt.plan(hall).network
     points = dict(zip(made.chosen.survey.target_names, made.chosen.survey.points, strict=True))
     for setting, place in zip(settings_of(made), made.chosen.survey.position, strict=True):
         assert len(setting.tapes) == 3

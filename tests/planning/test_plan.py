@@ -14,14 +14,15 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import ModelError, SetupError
 from ltsim.planning import starts
-from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.layout_scenario import planned_scenario
 from ltsim.planning.loading import load_plan, plan_names, plan_text
 from ltsim.planning.making import Follower, make_plan
-from ltsim.planning.plan import Plan, write_plan
+from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import fewest
+from ltsim.planning.result import Plan, write_plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile, Search
 from ltsim.planning.workshop import survey_of
@@ -43,13 +44,18 @@ def table(path: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+def plan(tmp_path_factory: pytest.TempPathFactory) -> PlannedNetwork:
     text = "[stations]\ncount = 4\ntradeoff_counts = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 24\n"
     return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"), 2)))
 
 
-def test_a_plan_is_drawn_with_its_tripods_and_points(plan: Plan) -> None:
-    survey, figure = plan.chosen.survey, plan.plot()
+@pytest.fixture(scope="module")
+def result(plan: PlannedNetwork) -> Plan:
+    return Plan.of(plan)
+
+
+def test_a_plan_is_drawn_with_its_tripods_and_points(result: Plan) -> None:
+    survey, figure = result.network.chosen.survey, result.plot()
     assert isinstance(figure, Figure)
     floor = figure.axes[0]
     assert (floor.get_xlabel(), floor.get_ylabel()) == ("x [m]", "y [m]")
@@ -73,9 +79,9 @@ def test_a_scenario_as_a_survey_is_its_recording() -> None:
     assert np.abs(ours.readings[:, 0] - recording.readings[:, 0]).max() < 0.1
 
 
-def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: Plan) -> None:
+def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: PlannedNetwork, result: Plan) -> None:
     assert plan.reference is not None
-    content = plan_file(plan)
+    content = result
     factor = plan.reference.qualities["instrument"] / plan.chosen.qualities["instrument"]
     assert factor > 1.05
     assert any(f"the quality of instrument is {factor:.2f} times better" in sentence for sentence in content.reasons)
@@ -94,7 +100,7 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     assert made.reference is not None
     assert made.chosen.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
     assert made.chosen.expected is None
-    content = plan_file(made)
+    content = Plan.of(made)
     assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
     with pytest.raises(SetupError, match="from 3 stations, not from 2"):
         make_plan(
@@ -103,7 +109,7 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
         )
 
 
-def test_the_curve_knows_cost_and_quality(plan: Plan) -> None:
+def test_the_curve_knows_cost_and_quality(plan: PlannedNetwork) -> None:
     hours = [option.hours for option in plan.options]
     assert hours == sorted(hours)
     efficient = [option.value for option in plan.options if option.efficient]
@@ -117,8 +123,8 @@ def test_the_curve_knows_cost_and_quality(plan: Plan) -> None:
     assert len(few.survey.position) <= 4
 
 
-def test_files_hold_what_a_tripod_needs(plan: Plan, tmp_path: Path) -> None:
-    content = write_plan(plan, tmp_path / "out")
+def test_files_hold_what_a_tripod_needs(plan: PlannedNetwork, result: Plan, tmp_path: Path) -> None:
+    content = write_plan(result, tmp_path / "out")
     saved = json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))
     assert {**saved, "files": {}} == json.loads(json.dumps(content.content())) | {"files": {}}
     rows = table(tmp_path / "out" / "stations.csv")
@@ -131,7 +137,7 @@ def test_files_hold_what_a_tripod_needs(plan: Plan, tmp_path: Path) -> None:
     assert again.instrument_sigma == pytest.approx(plan.chosen.information.instrument_sigma, rel=2e-3)
 
 
-def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: Plan) -> None:
+def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: PlannedNetwork) -> None:
     made = planned_scenario(plan)
     assert made.gauge == plan.scenario.gauge
     assert made.instrument == plan.scenario.instrument
@@ -141,7 +147,7 @@ def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: Plan) -> No
 @pytest.mark.long
 def test_the_number_of_jobs_changes_nothing(tmp_path: Path) -> None:
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    assert plan_file(make_plan(file, scenario, jobs=2)) == plan_file(make_plan(file, scenario))
+    assert Plan.of(make_plan(file, scenario, jobs=2)) == Plan.of(make_plan(file, scenario))
 
 
 def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> None:
@@ -153,7 +159,7 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     assert made.reference is not None
     assert not made.reference.survey.visible.all()
     broken = "breaks rules of the plan: T.* fewer than 5 stations .stations.min_stations_per_target. .S"
-    assert any(re.search(broken, sentence) for sentence in plan_file(made).reasons)
+    assert any(re.search(broken, sentence) for sentence in Plan.of(made).reasons)
     assert made.chosen.survey.visible.all()
     x, y, _ = made.chosen.survey.position.T
     assert not ((np.abs(x - 3.6) < 0.3) & (np.abs(y - 2.6) < 0.3)).any()
@@ -193,7 +199,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
     ((position, value),) = exchanged
     assert made.chosen.survey.position == pytest.approx(position)
     assert made.chosen.value == pytest.approx(value, rel=1e-6)
-    assert plan_file(made).reasons[-1].startswith("The search was stopped")
+    assert Plan.of(made).reasons[-1].startswith("The search was stopped")
     assert said and said[0].startswith("best layout so far: 3 stations")
 
 
@@ -272,26 +278,28 @@ def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
-def test_a_plan_is_declared_once(plan: Plan, tmp_path: Path) -> None:
-    """Python object, JSON, CSV files and page have the same tables, columns and values."""
-    from ltsim.planning.result import PlanResult
+def test_a_plan_is_declared_once(result: Plan, tmp_path: Path) -> None:
+    """Python object, JSON, CSV files, terminal and page are one model with its tables."""
     from ltsim.planning.tables import TABLES
-    from ltsim.recordings.result_file import read_result
     from ltsim.reports.sections import section_of
 
     folder = tmp_path / "out"
-    write_plan(plan, folder)
-    content = read_result(folder, PlanResult)
-    assert content.model_dump(exclude={"files"}) == plan.content.model_dump(exclude={"files"})
-    names = set(plan._tables())
+    lt.write(result, folder)
+    content = lt.read(folder / "plan.json")
+    assert type(content) is type(result)
+    assert content.model_dump(exclude={"files"}) == result.model_dump(exclude={"files"})
+    names = set(result._tables())
     assert {table.name for table in TABLES} == names | {"visibility", "work-order"}
     for name in names:
-        table = plan.table(name)
+        table = result.table(name)
         assert content.table(name) == table and (folder / table.file).read_text() == table.csv()
         assert [column.name for column in table.columns if not column.meaning] == []
-    assert repr(plan).splitlines()[0] == content.summary == repr(content).splitlines()[0]
-    told = section_of(content).text()
-    assert all(cell in told for row in plan.table("stations").cells() for cell in row)
+    assert repr(result).splitlines()[0] == content.summary == repr(content).splitlines()[0]
+    shown = section_of(content).text()
+    for name in ("stations", "tradeoff"):
+        assert all(cell in shown for row in result.table(name).cells() for cell in row)
+    with pytest.raises(ModelError, match=r"^a plan read from a file has no arrays"):
+        content.plot()
 
 
 def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
@@ -303,6 +311,7 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     table = made.table("tolerances")
     assert table.column("point") == ["A", "B", "C"] and table.column("met") == [True, True, True]
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
-    assert made.check is not None
-    assert table.column("within_mm") == pytest.approx([1e3 * made.check.radius[name] for name in "ABC"])
+    check = made.network.check
+    assert check is not None
+    assert table.column("within_mm") == pytest.approx([1e3 * check.radius[name] for name in "ABC"])
     assert {"S1", "S2"} <= set(made.table("losses").column("lost"))

@@ -12,7 +12,8 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
-from ltsim.planning.files import opened, plan_file
+from ltsim.planning.planner import judge
+from ltsim.planning.result import Plan, opened
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.tolerances import ToleranceCheck, Tolerances, against, keeps, percent, verdict
 from ltsim.planning.workshop import as_it_stands
@@ -88,6 +89,22 @@ def test_a_place_that_breaks_a_rule_is_refused_by_name(
     assert file.stations.min_stations_per_target == 1
 
 
+def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
+    """The spacing cannot be switched off, and stations that are not moved are tested too."""
+    hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 0"))
+    with pytest.raises(SetupError, match=r"stations.spacing_mm is 0"):
+        lt.plan(hall)
+    hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 1"))
+    with pytest.raises(SetupError, match=r"^move: S1 and S2 are 0.00 m apart, closer than 0.001 m"):
+        lt.plan(hall, move={"S1": (2500, 2000), "S2": (2500, 2000)})
+    file, site = as_it_stands(*opened(hall))
+    together = np.tile(site.survey.position[:1], (2, 1))
+    survey = site.survey.replace(position=together, visible=site.visible(together))
+    network = judge(file, opened(hall)[1], survey)
+    assert network.verdict is not None and not network.verdict.reached
+    assert not Plan.of(network).reached and "S1 and S2" in Plan.of(network).summary
+
+
 def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
     _, site = as_it_stands(*opened(hall))
     rng, searcher = np.random.default_rng(3), LayoutSearcher(site, step=1.5)
@@ -105,9 +122,8 @@ def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
 
 def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> None:
     hall.write_text(PLAN.replace("min_stations_per_target = 1", "min_stations_per_target = 2"))
-    made = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
-    content = plan_file(made)
-    assert made.chosen.survey.yaw[1] == pytest.approx(np.radians(30))
+    content = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
+    assert content.network.chosen.survey.yaw[1] == pytest.approx(np.radians(30))
     assert any("fewer than 2 stations (stations.min_stations_per_target)" in rule for rule in content.broken_rules)
     assert content.reached is False and content.tolerances_met
     assert content.summary.startswith("Not reached: the layout breaks a rule (")
@@ -156,10 +172,10 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
     from ltsim.reports.sections.plan import _tolerances
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
-    made = lt.plan(hall, move=move)
+    made = lt.plan(hall, move=move).network
     worst = made.check.radius[made.check.worst]  # type: ignore[union-attr]
     hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
-    content = plan_file(lt.plan(hall, move=move))
+    content = lt.plan(hall, move=move)
     (grid, *_) = _tolerances(content)
     assert isinstance(grid, Grid) and len(grid.marked) == 1 and content.reached is False
     (row,) = (grid.rows[i] for i in grid.marked)

@@ -42,18 +42,18 @@ def two_faces(tmp_path: Path) -> Any:
 @pytest.mark.long
 def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too_small(two_faces: Any) -> None:
     right = lt.recover(SCENE, trials=30, seed=2, calibrator=two_faces)
-    assert right.errors == "stated" and set(right.names) == set(ERRORS) and right.passed
+    assert right.errors == "stated" and {p.parameter for p in right.parameters} == set(ERRORS) and right.passed
     assert [check.sentence() for check in right.failures()] == []
     wrong = lt.recover(SCENE, trials=30, seed=2, calibrator=lambda recording: two_faces(recording, 3.0))
     assert {check.what for check in wrong.failures() if "coverage" in check.statistic} == {*ERRORS}
     assert {check.what for check in wrong.failures() if "deviation" in check.statistic} == {*ERRORS}
-    np.testing.assert_array_equal(right._stacked("estimate"), wrong._stacked("estimate"))
+    np.testing.assert_array_equal(right.arrays._stacked("estimate"), wrong.arrays._stacked("estimate"))
 
 
 def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None:
     how = {"trials": 12, "seed": 2, "calibrator": two_faces}
     wide = lt.recover(SCENE, tolerance={"beam-tilt": "2 urad"}, **how)
-    assert {check.what for check in wide.checks()} == {"convergence", "beam-tilt"} and not wide.failures()
+    assert {check.what for check in wide.checks} == {"convergence", "beam-tilt"} and not wide.failures()
     narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failures()
     assert narrow[0].sentence().startswith("beam-tilt fails: share of errors within 0.01 arcsec")
     for words, says in (({"beam-tilt": "2 mm"}, "expected a quantity"), ({"bean": "2 urad"}, "of none of")):
@@ -62,19 +62,19 @@ def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None
 
 
 def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
-    found = lt.recover(SCENE, trials=6, seed=2, calibrator=two_faces)
-    own = lt.recover(SCENE, trials=6, seed=2)
+    result = lt.recover(SCENE, trials=6, seed=2, calibrator=two_faces)
+    found, own = result.arrays, lt.recover(SCENE, trials=6, seed=2).arrays
     k = own.names.index("beam-tilt")
     beside = [trial.other.estimate[found.names.index("beam-tilt")] for trial in found.converged]
     assert beside == pytest.approx([trial.estimate[k] for trial in own.converged], rel=1e-12)
-    table = found.to_dataframe("parameters")
+    table = result.to_dataframe("parameters")
     assert tuple(table["parameter"]) == found.names and np.all(table["larger_low"] <= table["larger_high"])
 
 
 def test_effects_are_recovered_by_name() -> None:
     scene = lt.scenario(SCENE, {"effects": [{"name": "head-sag", "draw": True}]})
     found = lt.recover(scene, trials=12, seed=3, with_effects=["head-sag"], errors="drawn")
-    effect = [name for name in found.names if name.startswith("head-sag:")]
+    effect = [p.parameter for p in found.parameters if p.parameter.startswith("head-sag:")]
     assert effect and not [check for check in found.failures() if check.what in effect]
 
 
@@ -127,7 +127,7 @@ def constant(value: float, sigma: float | None, unit: str = "urad") -> Any:
 
 def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     silent = lt.recover(SCENE, trials=3, seed=2, calibrator=constant(1000.0, None))
-    assert silent.unchecked() == ("beam-tilt",) and not silent.failures() and not silent.passed
+    assert silent.unchecked == ("beam-tilt",) and not silent.failures() and not silent.passed
     assert (
         silent.verdict() == "1 of 2 parameters are recovered within its stated uncertainty, the others are not checked"
     )
@@ -135,7 +135,7 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     assert "allow_unchecked=True" in silent.problems()[-1] and "recovered within" not in repr(silent).splitlines()[1]
     assert lt.recover(SCENE, trials=3, seed=2, calibrator=constant(8.0, None), allow_unchecked=True).passed
     judged = lt.recover(SCENE, trials=3, calibrator=constant(1000.0, None), tolerance={"beam-tilt": "2 urad"})
-    assert not judged.unchecked() and not judged.passed
+    assert not judged.unchecked and not judged.passed
     nothing = lt.recover(SCENE, trials=2, calibrator=lambda recording: {"beam-tilt": (8.0, None, "urad")})
     assert nothing.verdict() == "no parameter is checked" and not nothing.passed
 
@@ -143,7 +143,7 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
 def test_a_sigma_in_a_part_of_the_trials_is_none() -> None:
     sigmas = iter([3.0, None, 3.0])
     found = lt.recover(SCENE, trials=3, calibrator=lambda recording: {"beam-tilt": (8.0, next(sigmas), "urad")})
-    assert found.unchecked() == ("beam-tilt",) and not found.passed
+    assert found.unchecked == ("beam-tilt",) and not found.passed
 
 
 def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
@@ -159,7 +159,7 @@ def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
 def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters() -> None:
     answers = iter([{"beam-tilt": (8e-6, 3e-6, "rad"), "transit-tilt": (5.0, 3.0, "urad")},
                     {"transit-tilt": (5.0, 3.0, "urad"), "beam-tilt": (0.008, 0.003, "mrad")}])  # fmt: skip
-    found = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers))
+    found = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers)).arrays
     assert found.converged[0].units == found.converged[1].units == ("urad", "urad")
     np.testing.assert_allclose([trial.estimate for trial in found.converged], [found.converged[0].truth] * 2)
     answers = iter([{"beam-tilt": (8.0, 3.0, "urad")}, {"transit-tilt": (5.0, 3.0, "urad")}])
@@ -175,10 +175,10 @@ def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -
     program.write_text("raise RuntimeError('license server not reachable')")
     command = f"{sys.executable} {program} {{recording}} {{out}}"
     found = lt.recover(SCENE, trials=40, calibrator=command, jobs=jobs)
-    assert len(found.trials) == 3 and not found.passed
+    assert found.trials == 3 and not found.passed
     assert found.problems()[1].startswith("the run ended after 3 failures of the calibrator: '")
     assert "status 1 for trial 2; its last line was: RuntimeError: license server not reachable" in found.problems()[1]
-    assert len(lt.recover(SCENE, trials=5, calibrator=lambda recording: None).trials) == 3
+    assert lt.recover(SCENE, trials=5, calibrator=lambda recording: None).trials == 3
 
 
 def test_checks_of_arrays_cannot_pass_with_nothing_to_judge_by() -> None:

@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
-from ltsim.campaigns.recovery_trials import How, from_prior, run_trials
+from ltsim.campaigns.recovery_trials import How, RecoveryTrials, from_prior, run_trials
 from ltsim.campaigns.scoring import NetworkScore, Trial
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, misalignment
@@ -26,9 +26,13 @@ from tests.networks import target_error
 COVERED_AT = stats.norm.isf(0.025)
 
 
+def recovery(*trials: Trial | None) -> Recovery:
+    return Recovery.of(RecoveryTrials(trials))
+
+
 def run_recovery(name: str, trials: int, **settings) -> Recovery:
     how = How(settings.pop("method", "network"), settings.pop("construction", None))
-    return Recovery(tuple(run_trials(load_scenario(name), trials, how, seed=11, **settings)))
+    return recovery(*run_trials(load_scenario(name), trials, how, seed=11, **settings))
 
 
 def flipped(slot: str) -> Construction:
@@ -53,21 +57,22 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     """Errors over their sigmas as they are, of a table that is stated among them, and as the check expects them."""
     found = run_recovery(name, 1000, jobs=2)
     assert [c.sentence() for c in found.failures()] == []
-    z = found.z
+    trials = found.arrays
+    z = trials.z
     assert np.abs(z.mean(axis=0)).max() < 0.15
-    deviation, covered = found._stacked("standard").std(axis=0, ddof=1), np.mean(np.abs(z) < COVERED_AT, axis=0)
+    deviation, covered = trials._stacked("standard").std(axis=0, ddof=1), np.mean(np.abs(z) < COVERED_AT, axis=0)
     tight = stats.norm.isf(0.5 * FALSE_ALARM / (2 * z.shape[1]))
     assert np.abs(deviation - 1.0).max() < 0.05 + tight / np.sqrt(2 * len(z))
     assert np.abs(covered - 0.95).max() < 0.015 + tight * np.sqrt(0.95 * 0.05 / len(z))
     for what in ("targets", "stations"):
-        assert np.mean([getattr(t.network, what) for t in found.converged]) == pytest.approx(1.0, abs=0.08)
+        assert np.mean([getattr(t.network, what) for t in trials.converged]) == pytest.approx(1.0, abs=0.08)
 
 
 @pytest.mark.long
 def test_the_reflectors_error_is_recovered_without_a_prior() -> None:
     """A table is a set of parameters: an effect that is estimated freely finds it within its uncertainty."""
     found = lt.recover("paper-workshop", trials=24, seed=5, with_effects="smr-incidence")
-    names = [name for name in found.names if name.startswith("smr-incidence:")]
+    names = [p.parameter for p in found.parameters if p.parameter.startswith("smr-incidence:")]
     assert len(names) == len(SmrIncidence.parameters)
     assert [c.sentence() for c in found.failures()] == []
 
@@ -89,8 +94,8 @@ def test_the_paper_chain_recovers_itself() -> None:
     scenario = load_scenario("paper-workshop-two-face")
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
-    trials = tuple(run_trials(scenario, 100, How(), seed=3, jobs=2))
-    assert [c.sentence() for c in Recovery(trials).failures()] == []
+    found = recovery(*run_trials(scenario, 100, How(), seed=3, jobs=2))
+    assert [c.sentence() for c in found.failures()] == []
 
 
 @pytest.mark.parametrize("slot", ["transit-offset", "beam-tilt"])
@@ -112,7 +117,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = Recovery(tuple(run_trials(noisy, 40, How(), seed=1)))
+    result = recovery(*run_trials(noisy, 40, How(), seed=1))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 
@@ -205,7 +210,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
     good = Trial(
         ("a",), ("urad",), np.zeros(1), np.ones(1), np.zeros(1), np.zeros(1), NetworkScore(1, 1, 10, 10, 10, 4.5)
     )
-    failures = Recovery((good, good, None)).failures()
+    failures = recovery(good, good, None).failures()
     assert failures[0].what == "convergence"
     assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
 

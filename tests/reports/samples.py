@@ -20,7 +20,7 @@ from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment
-from ltsim.planning.files import next_file
+from ltsim.planning.proposals import NextMeasurement
 from ltsim.recordings import write
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
@@ -230,5 +230,6 @@ def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
     """A folder as `ltsim plan --after` leaves it."""
     made = next_measurement(recording(), between=between)
     folder.mkdir(parents=True)
-    (folder / "next.json").write_text(next_file(made, "The recording agrees with the model.").text())
+    content = NextMeasurement.of(made).model_copy(update={"diagnosis": "The recording agrees with the model."})
+    (folder / "next.json").write_text(content.text())
     return folder

@@ -25,8 +25,9 @@ from ltsim.core.notation import fixed, number, with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.schema import Curve, Where
 from ltsim.measurands.comparison import Comparison
-from ltsim.planning.result import PlanResult
-from ltsim.planning.schema import PlanChange, PlannedParameterEntry as PlannedEntry
+from ltsim.planning.plan_change import PlanChange
+from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
+from ltsim.planning.result import Plan
 from ltsim.recordings.specification import sheet
 from ltsim.reports import style
 from ltsim.reports.figures import (
@@ -172,7 +173,7 @@ def trade_off() -> Figure:
     tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
     best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
     plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
-    return estimates.trade_off(PlanResult.model_validate(plan), MARKUP)
+    return estimates.trade_off(Plan.model_validate(plan), MARKUP)
 
 
 def budget_figure() -> Figure:

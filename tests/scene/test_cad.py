@@ -12,6 +12,7 @@ import trimesh
 import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
+from ltsim.planning.planner import PlannedNetwork
 from ltsim.scene.cad import UPRIGHT, read_mesh
 from ltsim.simulation.workshop import bodies_of
 
@@ -165,9 +166,9 @@ def written(folder: Path, name: str, turn: np.ndarray = UPRIGHT.T, **keys: str) 
 
 
 @pytest.fixture(scope="module")
-def layout(tmp_path_factory: pytest.TempPathFactory) -> lt.Plan:
+def layout(tmp_path_factory: pytest.TempPathFactory) -> PlannedNetwork:
     """The plan with the fuselage as STL."""
-    return lt.plan(written(tmp_path_factory.mktemp("stl"), "fuselage.stl"))
+    return lt.plan(written(tmp_path_factory.mktemp("stl"), "fuselage.stl")).network
 
 
 @pytest.mark.parametrize(
@@ -181,11 +182,11 @@ def layout(tmp_path_factory: pytest.TempPathFactory) -> lt.Plan:
     ],
 )
 def test_each_format_gives_the_same_layout_and_sights(
-    name: str, turn: np.ndarray, keys: dict[str, str], layout: lt.Plan, tmp_path: Path
+    name: str, turn: np.ndarray, keys: dict[str, str], layout: PlannedNetwork, tmp_path: Path
 ) -> None:
     if name.endswith("step"):
         pytest.importorskip("cascadio", reason="the extra step is not installed")
-    made = lt.plan(written(tmp_path, name, turn, **keys))
+    made = lt.plan(written(tmp_path, name, turn, **keys)).network
     assert made.chosen.survey.position.tolist() == layout.chosen.survey.position.tolist()
     assert made.chosen.survey.visible.tolist() == layout.chosen.survey.visible.tolist()
     assert not made.chosen.survey.visible.all()  # the fuselage hides some

@@ -6,7 +6,7 @@ leaves of the true signature: a difference of chi-square. Nobody knows which of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -30,7 +30,6 @@ from ltsim.adjustment.remedies.remedy import (
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Columns, Result
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import find_effect, title_of
 from ltsim.physics.effects.effect import Effect, NoiseEffect
@@ -183,9 +182,9 @@ class Proposal(ValueEquality):
         return -len(self.distinguished), EFFORT.index(self.remedy.kind), self.remedy.seconds, -near
 
 
-@dataclass(frozen=True, repr=False)
-class NextMeasurement(Result):
-    """Proposals, the best first."""
+@dataclass(frozen=True)
+class RankedProposals(ValueEquality):
+    """Proposals of further measurements as networks, the best first."""
 
     proposals: tuple[Proposal, ...]
     between: tuple[str, ...] = ()
@@ -212,22 +211,6 @@ class NextMeasurement(Result):
         remaining = [titles[name] for name in self.between[1:] if name not in distinguished]
         return sentence + (advice("left open", others=listed(remaining)) if remaining else "")
 
-    def _lines(self) -> list[str]:
-        question = f" between {listed([title_of(name) for name in self.between])}" if self.between else ""
-        return [f"Next measurement{question}: {self.proposals[0].remedy.words}, of {len(self.proposals)} proposals"]
-
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"proposals": self._proposals}
-
-    def _proposals(self) -> Columns:
-        return {
-            "do": [p.remedy.words for p in self.proposals],
-            "minutes": [p.remedy.seconds / 60 for p in self.proposals],
-            "sharper": [p.sharper for p in self.proposals],
-            "serves": [p.serves for p in self.proposals],
-            "distinguished": [" ".join(p.distinguished) for p in self.proposals],
-        }
-
 
 def next_measurement(
     recording: RecordingSource,
@@ -236,36 +219,8 @@ def next_measurement(
     with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
     progress: Progress = quiet,
-) -> NextMeasurement:
-    """Rank further measurements after a recording.
-
-    Parameters
-    ----------
-    recording : Recording, str or Path
-    between : sequence of str
-        Names of two or more effects: rank by how many are told from the first, of these what asks least of a person
-        and is done first, then by the evidence between them; none: rank what can be pointed at from here or from a
-        further station by what it tells about the instrument's parameters.
-    with_effects : str, Effect or sequence of them
-        What has been found already beside the question; of a name, where it fits the residuals best.
-    minutes_per_move : float
-        What it costs to move the tripod.
-    progress : callable
-        Told what is done and the share of it.
-
-    Raises
-    ------
-    ModelError
-        When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> proposals = lt.next_measurement(recording)
-    >>> proposals.proposals[0].sharper < 1
-    True
-    """
+) -> RankedProposals:
+    """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`."""
     measured = recording_of(recording)
     adjustment = adjust(measured, declared_construction(measured))
     adjustment.solution.require_success()
@@ -282,7 +237,7 @@ def next_measurement(
     for done, remedy in enumerate(remedies, 1):
         proposals.append(Proposal.of(remedy, network.adjustment))
         progress("trying further measurements", done / len(remedies))
-    return NextMeasurement(tuple(sorted(proposals, key=lambda p: p.sharper)))
+    return RankedProposals(tuple(sorted(proposals, key=lambda p: p.sharper)))
 
 
 def deciding(
@@ -293,7 +248,7 @@ def deciding(
     seconds_per_move: float = MOVE,
     first_is_enough: bool = False,
     progress: Progress = quiet,
-) -> NextMeasurement:
+) -> RankedProposals:
     """Rank remedies by the evidence that they bring between explanations of an adjusted recording, two or more.
 
     Each is to be told from the first; those that the recording tells from it already are left aside. `extra_effects`
@@ -320,7 +275,7 @@ def deciding(
         if first_is_enough and judged[-1].decides:
             break
     ranked = tuple(sorted(judged, key=lambda p: p.rank))
-    return NextMeasurement(ranked, (first.effect.name, *rivals), {name: pair.now for name, pair in rivals.items()})
+    return RankedProposals(ranked, (first.effect.name, *rivals), {name: pair.now for name, pair in rivals.items()})
 
 
 def _effort(remedy: Remedy) -> tuple[int, float]:

@@ -14,11 +14,11 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import Construction
-from ltsim.planning.files import PLAN, SCENARIO, opened, with_cad_copied, with_layout
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.layout_scenario import PLAN, SCENARIO, with_cad_copied, with_layout
 from ltsim.planning.planner import sight_table
-from ltsim.planning.rules import TOUCH, words_of
-from ltsim.planning.site import SearchSpace
+from ltsim.planning.result import opened
+from ltsim.planning.site import TOUCH, SearchSpace, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Tolerances, judged, keeps, losses_of, percent, radius, verdict

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle, Ellipse, Polygon
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.planning.schema import PlanChange
+from ltsim.planning.plan_change import PlanChange
 from ltsim.reports import style
 from ltsim.reports.workshop import PlacedWorkshop
 from ltsim.scene.floor import Floor, FloorArea, distance

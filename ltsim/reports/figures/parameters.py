@@ -18,8 +18,8 @@ from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
 
 if TYPE_CHECKING:
     from ltsim.calibration.history_schema import CourseEntry
-    from ltsim.planning.result import PlanResult
-    from ltsim.planning.schema import PlannedParameterEntry
+    from ltsim.planning.plan_entries import PlannedParameterEntry
+    from ltsim.planning.result import Plan
 
 
 def names_of(rows: Sequence[ParameterEntry]) -> list[str]:
@@ -257,7 +257,7 @@ WORD = {"tried": "tried", "best": "best in its time", "chosen": "the plan", "ref
 
 
 @style.styled
-def trade_off(plan: PlanResult, name: str) -> Figure:
+def trade_off(plan: Plan, name: str) -> Figure:
     """Time against one quality measure of a plan; the line joins the layouts that are best in their time."""
     label, factor = QUALITY.get(name, (name, 1.0))
     kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}

@@ -10,13 +10,13 @@ from ltsim.reports.document import ReportContext, Section
 WRITERS = {
     "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
     "calibration.json": ("calibration", "CalibrationFile", "calibration_section"),
-    "plan.json": ("plan", "PlanResult", "plan_section"),
+    "plan.json": ("plan", "Plan", "plan_section"),
     "history.json": ("plain", "HistoryFile", "history_section"),
-    "uncertainty.json": ("plain", "UncertaintyFile", "uncertainty_section"),
+    "uncertainty.json": ("plain", "Uncertainty", "uncertainty_section"),
     "check.json": ("plain", "CheckFile", "check_section"),
     "comparison.json": ("plain", "Comparison", "comparison_section"),
     "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
-    "next.json": ("plain", "NextFile", "next_section"),
+    "next.json": ("plain", "NextMeasurement", "next_section"),
 }
 """Module, model and function of each result file; a module is imported on first use."""
 

@@ -12,8 +12,8 @@ from ltsim.calibration.history_schema import HistoryFile
 from ltsim.core.notation import number, with_sigma
 from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
-from ltsim.measurands.files import UncertaintyFile
-from ltsim.planning.result import NextFile
+from ltsim.measurands.uncertainty import Uncertainty
+from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
@@ -137,12 +137,10 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     return Section(title, kind, sentence(content.sentence), good, facts, blocks, instrument=named)
 
 
-def uncertainty_section(content: UncertaintyFile, _: ReportContext) -> Section:
+def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     """Section of the uncertainties of tasks."""
     judged_results = [r for r in content.results if r.conformity is not None]
-    results = content.tables()["results"]().only(
-        "task result unit value U mc_low mc_high agrees judgement largest_source"
-    )
+    results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
                f"{100 * c.probability:.1f} %", c.judgement] for r in judged_results if (c := r.conformity)]  # fmt: skip
@@ -169,7 +167,7 @@ def uncertainty_section(content: UncertaintyFile, _: ReportContext) -> Section:
     )
 
 
-def budget_of(content: UncertaintyFile) -> Figure:
+def budget_of(content: Uncertainty) -> Figure:
     """Figure of the budgets of the first results."""
     shown = content.results[:MOST_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
@@ -177,7 +175,7 @@ def budget_of(content: UncertaintyFile) -> Figure:
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
-def next_section(content: NextFile, _: ReportContext) -> Section:
+def next_section(content: NextMeasurement, _: ReportContext) -> Section:
     """Section of proposed further measurements."""
     best = content.proposals[0]
     decided = mood(best.decides) if content.between else "plain"

@@ -7,12 +7,11 @@ import numpy as np
 
 from ltsim.core.notation import number
 from ltsim.core.units import MILLIMETRE
-from ltsim.planning.result import PlanResult
+from ltsim.planning.result import Plan
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
     Fact,
-    Grid,
     Listing,
     Note,
     Notes,
@@ -23,12 +22,12 @@ from ltsim.reports.document import (
     table_block,
 )
 from ltsim.reports.sections.network import scene, undetermined
-from ltsim.reports.words import QUALITY, count, duration, of_presets
+from ltsim.reports.words import QUALITY, duration, of_presets
 from ltsim.scene.floor import Floor
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
-def plan_section(content: PlanResult, context: ReportContext) -> Section:
+def plan_section(content: Plan, context: ReportContext) -> Section:
     """Section of a `plan.json`, with pictures from the `scenario.toml` in its folder.
 
     Raises
@@ -66,7 +65,7 @@ def plan_section(content: PlanResult, context: ReportContext) -> Section:
     )  # fmt: skip
 
 
-def _tolerances(content: PlanResult) -> list[Block]:
+def _tolerances(content: Plan) -> list[Block]:
     """Tables of points against their tolerances, and after the loss of a station or sight."""
     asked = content.table("tolerances")
     if not asked.rows:
@@ -77,7 +76,7 @@ def _tolerances(content: PlanResult) -> list[Block]:
     return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
 
 
-def _changes(content: PlanResult) -> list[Block]:
+def _changes(content: Plan) -> list[Block]:
     """Table of the reflectors to move, to add and to omit."""
     title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
@@ -85,7 +84,7 @@ def _changes(content: PlanResult) -> list[Block]:
     return [*table_block(title, changes, note=content.changes_tried)]
 
 
-def _facts(content: PlanResult) -> list[Fact]:
+def _facts(content: Plan) -> list[Fact]:
     facts = [
         Fact("stations", str(len(content.stations))),
         Fact("pointings", str(content.pointings)),
@@ -104,7 +103,7 @@ def _facts(content: PlanResult) -> list[Fact]:
     return facts
 
 
-def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
+def _pictures(content: Plan, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
     """Floor plan and 3D view of the plan's scenario, and the changes of reflectors on the floor plan."""
     if scenario is None:
         return [], []
@@ -127,29 +126,21 @@ def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> 
     return drawn, [Picture("Places of these reflectors", changes, text)] if content.reflector_changes else []
 
 
-def _curve(content: PlanResult) -> list[Block]:
+def _curve(content: Plan) -> list[Block]:
     text = "Each dot is the best layout for one number of stations, faces and rounds."
     blocks: list[Block] = [
         Picture(f"Time against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
         for name, value in content.quality.items()
         if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
-    factor, unit = (1e6, "um") if set(content.quality) == {"targets"} else (1.0, "")
-    rows = [
-        [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
-         number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
-        for o in content.tradeoff
-    ]  # fmt: skip
-    if rows:
-        header = ["layout", "faces", "rounds", "pointings", "hours", f"objective [{unit}]" if unit else "objective",
-                  "best in its time"]  # fmt: skip
-        blocks.append(
-            Grid("Alternatives: stations, faces and rounds", header, rows, note="A smaller objective is better.")
-        )
-    return blocks
+    curve = content.table("tradeoff")
+    objective = "value_um" if any(curve.column("value_um")) else "value"
+    shown = curve.only(f"stations faces repeats pointings hours {objective} efficient")
+    note = "A smaller objective is better."
+    return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown, note=note)]
 
 
-def _parameters(content: PlanResult) -> list[Block]:
+def _parameters(content: Plan) -> list[Block]:
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
@@ -157,7 +148,7 @@ def _parameters(content: PlanResult) -> list[Block]:
     return [Picture("Predicted sigma of the instrument's parameters", figure, text)] if rows else []
 
 
-def _effects(content: PlanResult) -> list[Block]:
+def _effects(content: Plan) -> list[Block]:
     """Tables of the smallest detectable effects, effects that are hard to separate, and undetectable effects."""
     note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]

@@ -129,7 +129,7 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     file, scenario = load_plan(tmp_path / "moved" / "plan.toml")
     assert len(file.listed) == 30
     assert len(scenario.targets) == 30
-    made = lt.plan(tmp_path / "moved")
+    made = lt.plan(tmp_path / "moved").network
     assert made.chosen.survey.position[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
     assert 1e6 * made.chosen.qualities["targets"] == pytest.approx(wanted["rms_um"])
     assert made.check is not None

@@ -1,4 +1,4 @@
-"""uncertainty.json, uncertainty.csv and budget.csv: what the tasks of a file are worth."""
+"""The result of `uncertainty`, declared once: Python object, uncertainty.json, its tables, terminal and page."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal
@@ -8,7 +8,7 @@ from scipy import special
 
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import expanded
-from ltsim.core.results import Column, Table, numbers, texts
+from ltsim.core.results import Column, Result, Table, numbers, texts
 from ltsim.measurands.spec import Decision, Tolerance
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
@@ -35,6 +35,8 @@ BUDGET = Table(
         *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
     ),
 )
+MOST_REPORTED = 8
+"""Number of results in the summary lines."""
 
 
 class Distribution(Entry):
@@ -137,8 +139,8 @@ class TaskResult(Entry):
         ]
 
 
-class UncertaintyFile(ResultFile):
-    """`uncertainty.json`: from `uncertainty`."""
+class Uncertainty(ResultFile, Result):
+    """`uncertainty.json`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
@@ -162,8 +164,15 @@ class UncertaintyFile(ResultFile):
     warnings: tuple[str, ...] = ()
     """Warnings to heed before the numbers are used."""
 
-    def tables(self) -> Mapping[str, Callable[[], Table]]:
-        """The tables of the results and of their budgets."""
+    __repr__ = __str__ = Result.__repr__
+
+    def _lines(self) -> list[str]:
+        lines = [r.words for r in self.results[:MOST_REPORTED]]
+        more = len(self.results) - len(lines)
+        head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
+        return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
         parts = [(r, p) for r in self.results for p in r.budget]
         rows = [(r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts]
         return {"results": lambda: RESULTS.filled(r.row for r in self.results), "budget": lambda: BUDGET.filled(rows)}
@@ -204,7 +213,7 @@ def conformity(
     )
 
 
-def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str, float]]:
+def compared(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]:
     """``task, result`` and E_n of every result that both files have in the same unit.
 
     E_n compares independent results: two recordings, or two instruments.

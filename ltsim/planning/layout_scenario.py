@@ -1,0 +1,67 @@
+"""The scenario of a layout: what `ltsim simulate` takes, with its CAD files, in the folder of a plan."""
+
+from pathlib import Path
+
+from ltsim.core.errors import SetupError
+from ltsim.planning.plan_change import in_millimetres
+from ltsim.planning.plan_entries import StationEntry
+from ltsim.planning.planner import PlannedNetwork
+from ltsim.planning.survey import Survey
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.sections import PlannedStation, PlannedTarget
+
+SCENARIO = "scenario.toml"
+"""The hall with the plan's stations, in the plan's folder."""
+PLAN = "plan.toml"
+"""Plan file that the board saves in the folder of a plan."""
+
+
+def planned_scenario(plan: PlannedNetwork) -> Scenario:
+    """The scenario with the plan's stations, reflectors and way of working: what `ltsim simulate` takes."""
+    return with_layout(plan.scenario, plan.chosen.survey, plan.file.title or plan.scenario.title)
+
+
+def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
+    """A scenario with the stations, reflectors and way of working of a survey."""
+    levelled = {name for name, station in scenario.stations.items() if station.levelled}
+    stations = {
+        place.name: PlannedStation(
+            position_mm=place.position_mm, yaw_deg=place.yaw_deg, levelled=place.name in levelled
+        )
+        for place in StationEntry.places(survey)
+    }
+    fixed = set(scenario.gauge.targets) if scenario.gauge else set()
+    targets = {
+        name: scenario.targets.get(name) or PlannedTarget(position_mm=in_millimetres(place, 3))
+        for name, place in zip(survey.target_names, survey.points, strict=True)
+        if name not in fixed
+    }
+    way = {
+        "faces": len(survey.faces),
+        "repeats": survey.repeats,
+        "seconds_per_pointing": survey.seconds_per_pointing,
+        "minutes_per_move": survey.seconds_per_move / 60.0,
+    }
+    work = scenario.work.model_copy(update=way | {"stations": None})
+    return scenario.model_copy(
+        update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
+    )
+
+
+def with_cad_copied(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
+    """The scenario with its CAD files named from its own folder, and these files by name; raises SetupError."""
+    names: dict[str, str] = {}
+    contents: dict[str, bytes] = {}
+    for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):
+        file_name = Path(path).name
+        names[path] = file_name if file_name not in contents else f"{len(contents) + 1}-{file_name}"
+        try:
+            contents[names[path]] = Path(path).read_bytes()
+        except OSError as problem:
+            raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
+    obstacles = tuple(
+        entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]})
+        for entry in scenario.workshop.obstacles
+    )
+    room = scenario.workshop.model_copy(update={"obstacles": obstacles})
+    return scenario.model_copy(update={"workshop": room}), contents

@@ -1,0 +1,338 @@
+"""Entries of plan.json, each made from its part of the planned network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from pydantic import Field
+
+from ltsim.calibration.schema import Combination
+from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
+from ltsim.planning.objective import TARGETS
+from ltsim.planning.plan_change import in_degrees, in_millimetres
+from ltsim.planning.tolerances import ToleranceCheck, keeps
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
+
+if TYPE_CHECKING:
+    from ltsim.adjustment.remedies.detectability import MinimalSize
+    from ltsim.planning.information import ExpectedErrors, LayoutInformation
+    from ltsim.planning.planner import LayoutEvaluation, TradeoffPoint
+    from ltsim.planning.survey import Survey
+
+Qualities = dict[str, OptionalFloat]
+
+
+class StationEntry(Entry):
+    """A place for a tripod."""
+
+    name: str
+    """Name of the station."""
+    position_mm: Vector
+    """Centre of the head, in the workshop's frame."""
+    yaw_deg: Finite
+    """Direction of azimuth zero, counter-clockwise from x."""
+    sigma_position_um: tuple[OptionalFloat, ...] = ()
+    """Expected standard deviation of x, y and z."""
+    visible_reflectors: int = 0
+    """Number of reflectors that the station sees."""
+
+    @classmethod
+    def places(cls, survey: Survey) -> tuple[Self, ...]:
+        """Places of the stations of a survey, without their precision."""
+        rows = zip(survey.station_names, survey.position, survey.yaw, strict=True)
+        return tuple(
+            cls(name=name, position_mm=in_millimetres(place), yaw_deg=in_degrees(yaw)) for name, place, yaw in rows
+        )
+
+    @classmethod
+    def of(cls, layout: LayoutEvaluation) -> tuple[Self, ...]:
+        """Stations of a layout with their expected precision."""
+        sigma = np.sqrt(np.einsum("sii->si", layout.information.pose_covariance[:, :3, :3])) / MICROMETRE
+        counts = layout.survey.visible.sum(axis=1).tolist()
+        return tuple(
+            cls(
+                name=place.name,
+                position_mm=place.position_mm,
+                yaw_deg=place.yaw_deg,
+                sigma_position_um=tuple(np.round(station_sigma, 2).tolist()),
+                visible_reflectors=count,
+            )
+            for place, station_sigma, count in zip(cls.places(layout.survey), sigma, counts, strict=True)
+        )
+
+
+class ReflectorEntry(Entry):
+    """A reflector with its expected precision."""
+
+    name: str
+    """Name of the reflector."""
+    position_mm: Vector
+    """Centre of the reflector, in the workshop's frame."""
+    sigma_um: OptionalFloat
+    """Expected standard deviation of the point: square root of the trace of its covariance."""
+    u_um: tuple[OptionalFloat, ...] = Field(default=(), alias="U_um")
+    """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
+    stations_seeing: int = 0
+    """Number of stations that see the reflector."""
+    visible_from: tuple[str, ...] = ()
+    """Names of the stations that see the reflector."""
+    within_mm: OptionalFloat = None
+    """Distance that the point error does not exceed at the confidence level of the goal; of points with a tolerance."""
+    tolerance_mm: OptionalFloat = None
+    """Tolerance of the point error."""
+    used: OptionalFloat = None
+    """Point error over its tolerance: `within_mm` / `tolerance_mm`; 1 at the limit."""
+    met: bool | None = None
+    """True where the tolerance is kept; null without any."""
+
+    @classmethod
+    def of(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
+        """Reflectors of a layout with their expected precision, and against their tolerances where it has a check."""
+        survey, information = layout.survey, layout.information
+        expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
+        return tuple(
+            cls(
+                name=name,
+                position_mm=in_millimetres(survey.points[t], 3),
+                sigma_um=round(float(information.target_sigma[t]) / MICROMETRE, 2),
+                U_um=tuple(np.round(expanded[t], 2).tolist()),
+                stations_seeing=int(survey.visible[:, t].sum()),
+                visible_from=tuple(survey.station_names[s] for s in np.flatnonzero(survey.visible[:, t])),
+                **cls._against(name, check),
+            )
+            for t, name in enumerate(survey.target_names)
+        )
+
+    @staticmethod
+    def _against(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
+        """Fields of a point with a tolerance; none for another point."""
+        if check is None or name not in check.radius:
+            return {}
+        within, used = check.radius[name] / MILLIMETRE, check.used(name)
+        return {
+            "within_mm": within, "tolerance_mm": check.tolerance[name] / MILLIMETRE, "used": used, "met": keeps(used),
+        }  # fmt: skip
+
+
+class PlannedParameterEntry(Entry):
+    """An instrument parameter with its expected precision."""
+
+    name: str
+    """Name of the parameter."""
+    unit: str = ""
+    """Unit of both standard deviations."""
+    sigma: Finite
+    """Expected standard deviation after calibration."""
+    prior_sigma: Positive
+    """Standard deviation before any reading."""
+    gain: OptionalFloat = None
+    """Share of the prior variance that the readings would remove."""
+
+    @classmethod
+    def of(cls, information: LayoutInformation) -> tuple[Self, ...]:
+        """Parameters of the instrument in the units that people read."""
+        rows = zip(
+            information.construction.parameters, information.instrument_sigma, information.prior_sigma, strict=True
+        )
+        return tuple(
+            cls(
+                name=p.name,
+                unit=p.unit,
+                sigma=float(sigma / p.factor),
+                prior_sigma=float(prior / p.factor),
+                gain=float(1.0 - (sigma / prior) ** 2),
+            )
+            for p, sigma, prior in rows
+        )
+
+
+class ImprovementEntry(Entry):
+    """Expected improvement of a criterion of the paper."""
+
+    before_um: Finite
+    """Expected mean before calibration."""
+    after_um: Finite
+    """Expected mean after calibration."""
+    improvement_percent: Finite
+    """Reduction of the mean by the calibration."""
+
+    @classmethod
+    def of(cls, expected: ExpectedErrors) -> dict[str, Self]:
+        """Both criteria of one request, by name."""
+        e = expected
+        criteria = {
+            "distance": (e.distance_before, e.distance_after, e.distance_improvement),
+            "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
+        }
+        return {
+            name: cls(before_um=before[0] / MICROMETRE, after_um=after[0] / MICROMETRE, improvement_percent=percent[0])
+            for name, (before, after, percent) in criteria.items()
+        }
+
+
+class WorkEntry(Entry):
+    """A way of working."""
+
+    faces: int = 1
+    """Number of faces: 1 or 2."""
+    repeats: int = 1
+    """Number of rounds."""
+    pointings: int = 0
+    """Number of pointings."""
+    hours: Finite
+    """Duration of the whole work [h]."""
+    quality: Qualities = Field(default_factory=dict)
+    """Qualities that the goal weighs, by name; smaller is better."""
+
+    @staticmethod
+    def _work(survey: Survey, qualities: dict[str, float]) -> dict[str, Any]:
+        """Fields of the way in which a survey is worked."""
+        return {
+            "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.pointings,
+            "hours": round(survey.seconds / 3600, 3), "quality": qualities,
+        }  # fmt: skip
+
+
+class LayoutEntry(WorkEntry):
+    """A layout with its expected precision, before measuring."""
+
+    broken_rules: tuple[str, ...] = ()
+    """Rules of the plan that it breaks, a sentence each."""
+    stations: tuple[StationEntry, ...]
+    """Places of the tripods."""
+    reflectors: tuple[ReflectorEntry, ...] = ()
+    """Reflectors of the mesh."""
+    parameters: tuple[PlannedParameterEntry, ...] = ()
+    """Instrument parameters with their expected precision."""
+    undetermined: tuple[Combination, ...] = ()
+    """Undetermined combinations of instrument parameters."""
+    expected_improvement: dict[str, ImprovementEntry] | None = None
+    """Expected improvement, by the paper's criteria."""
+    blocked_sights: tuple[str, ...] = ()
+    """Sights that are not possible: station, reflector and reason, a sentence each."""
+
+    @classmethod
+    def of_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None = None, **further: Any) -> Self:
+        """A layout, with a check against its tolerances; `further` fields are those of a subclass."""
+        information, survey = layout.information, layout.survey
+        names = information.construction.names
+        return cls(
+            broken_rules=tuple(rule.words for rule in layout.broken),
+            stations=StationEntry.of(layout),
+            reflectors=ReflectorEntry.of(layout, check),
+            parameters=PlannedParameterEntry.of(information),
+            undetermined=tuple(
+                Combination(combination=d.coefficients(names), gain=d.gain, cure=cure)
+                for d, cure in zip(information.undetermined, information.cures(), strict=True)
+            ),
+            expected_improvement=None if layout.expected is None else ImprovementEntry.of(layout.expected),
+            blocked_sights=tuple(layout.table.lost(survey.station_names, survey.target_names)),
+            **cls._work(survey, layout.qualities),
+            **further,
+        )
+
+
+class OptionEntry(WorkEntry):
+    """A way of working with the best layout found for it."""
+
+    stations: int
+    """Number of stations."""
+    value: OptionalFloat = None
+    """Objective of the layout; smaller is better."""
+    efficient: bool = False
+    """True where no cheaper way of working is as good."""
+    layout: tuple[StationEntry, ...] = ()
+    """Places of the tripods."""
+
+    @classmethod
+    def of(cls, option: TradeoffPoint) -> Self:
+        """A point of the curve of cost against quality."""
+        return cls(
+            stations=len(option.survey.position),
+            value=option.value,
+            efficient=option.efficient,
+            layout=StationEntry.places(option.survey),
+            **cls._work(option.survey, option.qualities),
+        )
+
+    @property
+    def value_um(self) -> float | None:
+        """Objective in micrometres where the goal is the error of the targets alone; None for another goal."""
+        return None if self.value is None or set(self.quality) != {TARGETS} else self.value / MICROMETRE
+
+
+class LossEntry(Entry):
+    """Tolerances after the loss of a station or a sight."""
+
+    lost: str
+    """Lost station or sight, in words."""
+    met: bool
+    """True where all tolerances hold after the loss."""
+    ratio: OptionalFloat = None
+    """Largest point error over its tolerance; null where a point is no longer determined."""
+    worst: str = ""
+    """The point with that ratio."""
+    unseen: tuple[str, ...] = ()
+    """Points with a tolerance that no station sees any more."""
+
+    @classmethod
+    def of(cls, check: ToleranceCheck) -> Self:
+        """The tolerances after a loss."""
+        return cls(lost=check.lost, met=check.good, ratio=check.ratio, worst=check.worst, unseen=check.unseen)
+
+
+class DetectableSize(Entry):
+    """Minimal detectable size of an effect in a layout, at its best and its worst place."""
+
+    effect: str
+    """Identifier of the effect in the catalogue."""
+    parameter: str = ""
+    """Name of the parameter."""
+    unit: str = ""
+    """Unit of the sizes."""
+    best: OptionalFloat = None
+    """Minimal detectable size at the best place or shape."""
+    typical: OptionalFloat = None
+    """Minimal detectable size at the median place or shape."""
+    worst: OptionalFloat = None
+    """Minimal detectable size at the worst place or shape."""
+    worst_at: str = ""
+    """Worst place or shape: station, target or shape."""
+    plausible: Finite = 0.0
+    """A large but plausible size of the effect."""
+    visible: OptionalFloat = None
+    """Median share of the effect's signature that remains in the residuals."""
+
+    @classmethod
+    def of(cls, row: MinimalSize) -> Self:
+        """A minimal detectable size in the unit that people read."""
+        factor = FACTOR[row.unit]
+        return cls(
+            effect=row.effect,
+            parameter=row.parameter,
+            unit=row.unit,
+            best=row.best / factor,
+            typical=row.typical / factor,
+            worst=row.worst / factor,
+            worst_at=row.worst_place,
+            plausible=row.prior_sigma / factor,
+            visible=row.visible,
+        )
+
+
+class ConfusablePair(Entry):
+    """Two effects that a layout can hardly distinguish; `share` of the first's signature is explained by the second."""
+
+    effect: str
+    """Identifier of the effect in the catalogue."""
+    taken_for: str
+    """Identifier of the effect that explains its signature too."""
+    share: Finite
+    """Share of the signature that the second effect explains; 1 for all of it."""
+
+    @classmethod
+    def of(cls, pair: tuple[str, str, float]) -> Self:
+        """A pair of a report on detectability."""
+        effect, taken_for, share = pair
+        return cls(effect=effect, taken_for=taken_for, share=share)

@@ -1,0 +1,111 @@
+"""The result of `next_measurement`, declared once: Python object, next.json, its table, terminal and page."""
+
+from collections.abc import Callable, Mapping
+from typing import ClassVar, Literal, Self
+
+from pydantic import Field
+
+from ltsim.adjustment.remedies.next_measurement import Proposal, RankedProposals
+from ltsim.adjustment.remedies.remedy import listed
+from ltsim.core.results import Result, Table, columns_of
+from ltsim.physics.effects import title_of
+from ltsim.planning.plan_change import in_degrees, in_millimetres
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
+
+
+class ProposalEntry(Entry):
+    """Further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
+
+    do: str
+    """Action in words."""
+    kind: str = ""
+    """Kind of measurement: pointings, return, station, survey, length or reflectors."""
+    minutes: Finite
+    """Duration of the work [min]."""
+    sharper: Finite
+    """Factor on the mean standard deviation of the instrument's parameters (geometric mean); below 1 is better."""
+    serves: str = ""
+    """The parameter that gains most."""
+    serves_factor: Finite = 1.0
+    """Factor on the standard deviation of that parameter; below 1 is better."""
+    evidence: dict[str, Finite] = Field(default_factory=dict)
+    """Expected difference of chi-square between the first explanation and each other one, by name."""
+    distinguishes: tuple[str, ...] = ()
+    """Explanations that the measurement would distinguish from the first."""
+    decides: bool = False
+    """True where it would distinguish all of them from the first."""
+    position_mm: Vector | None = None
+    """Position of the head at a new set-up, in the workshop's frame; null for other measurements."""
+    yaw_deg: OptionalFloat = None
+    """Direction of azimuth zero at a new set-up; null for other measurements."""
+
+    @classmethod
+    def of(cls, proposal: Proposal) -> Self:
+        """A proposal of `next_measurement`."""
+        p, there = proposal, proposal.remedy.set_up
+        return cls(
+            do=p.remedy.words,
+            kind=p.remedy.kind,
+            minutes=round(p.remedy.seconds / 60, 2),
+            sharper=p.sharper,
+            serves=p.serves,
+            serves_factor=p.serves_factor,
+            evidence=p.evidence,
+            distinguishes=p.distinguished,
+            decides=p.decides,
+            position_mm=in_millimetres(there[0]) if there else None,
+            yaw_deg=in_degrees(there[1]) if there else None,
+        )
+
+
+NEXT = Table(
+    "next.csv",
+    "proposals of further measurements, the best first",
+    columns_of(
+        ProposalEntry,
+        "kind minutes sharper serves serves_factor distinguishes decides do",
+        distinguishes={"kind": "text"},
+        decides={"kind": "text"},
+    ),
+)
+
+
+class NextMeasurement(ResultFile, Result):
+    """`next.json`: the result of `next_measurement`, written by `plan --after`."""
+
+    FILE: ClassVar[str] = "next.json"
+    format: Literal["ltsim-next/1"] = "ltsim-next/1"
+    """Format and version of this file."""
+    diagnosis: str = ""
+    """Result of the diagnosis, as a sentence."""
+    between: tuple[str, ...] = ()
+    """The explanations to decide between."""
+    evidence_now: dict[str, Finite] = Field(default_factory=dict)
+    """Difference of chi-square between the first explanation and each other one, in the recording as it is."""
+    advice: str = ""
+    """First action to take, as a sentence."""
+    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
+    """Proposals of further measurements, the best first."""
+
+    __repr__ = __str__ = Result.__repr__
+
+    @classmethod
+    def of(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
+        """The proposals after a recording."""
+        return cls(
+            recording=source,
+            between=ranked.between,
+            evidence_now=ranked.evidence_now,
+            advice=ranked.advice,
+            proposals=tuple(ProposalEntry.of(proposal) for proposal in ranked.proposals),
+        )
+
+    def _lines(self) -> list[str]:
+        question = f" between {listed([title_of(name) for name in self.between])}" if self.between else ""
+        return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"proposals": self._proposals}
+
+    def _proposals(self) -> Table:
+        return NEXT.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
