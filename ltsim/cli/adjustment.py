@@ -12,7 +12,6 @@ from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibratio
 from ltsim.cli.places import RECORDING, Force
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.physics.effects import title_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,6 +76,7 @@ def correct(
     import numpy as np
 
     from ltsim.geometry.polar import wrap
+    from ltsim.physics.effects import title_of
 
     recording = reading.of(source)
     terminal.notes(recording.notes)

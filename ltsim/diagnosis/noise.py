@@ -22,6 +22,14 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import log_means, restricted, shares
+from ltsim.diagnosis.noise_groups import (
+    MUCH_WORSE,
+    NOISY_GROUP_SHARE,
+    SCATTERING,
+    Amounts,
+    Level,
+    NoiseByGroup,
+)
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
@@ -30,7 +38,7 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.places import Place, clusters, trackers_of
 from ltsim.physics.laws.regressor_library import further
-from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction, owners_of
+from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
@@ -42,24 +50,12 @@ MOST_TARGETS = 60
 """Single targets and clusters of targets are hypotheses in networks of at most this many targets."""
 COMPARED = 6
 """Number of families that are evaluated without approximation, the most probable first."""
-TINY, LEAST_SHARE = 1e-300, 0.05
+LEAST_SHARE = 0.05
 """Lower bound on the redundancy of a mean of repeats (its diagonal form may be negative)."""
-FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
-"""Factors on a variance that are averaged over: steps of a tenth; for one group among many clearly larger ones."""
 FINE = 48
 """Number of sizes over which the best hypotheses are averaged: steps of a tenth."""
-NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
-"""Shares of all targets, or set-ups, that have more noise than declared, averaged over."""
-MIN_READINGS, MOST_READINGS = 60, 4000
-"""Numbers of readings with which a heavy tail is a hypothesis: of fewer none is seen, more cost too much."""
-MUCH_WORSE = np.array([4.0, 12.0, 36.0, 100.0])
-"""Factors on the variance of a reading in the tail that are averaged over: two to ten standard deviations."""
-_SCATTERING: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
-"""Sets of observables that may have more noise."""
 NOISY_REGIONS = ("xyz", "xy", "x", "y")
 """Shapes of the regions of the hall in which lines of sight may have more noise."""
-MIN_GROUPS = 4
-"""Noise by target, or by station, is a hypothesis if there are at least this many of them."""
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
@@ -93,12 +89,12 @@ def _patterns(
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
-    for at, acts, name, falling in product(places, _SCATTERING[:-1], [*regressors, *further(sightings)], (False, True)):
+    for at, acts, name, falling in product(places, SCATTERING[:-1], [*regressors, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
         yield " and ".join(acts), pattern, GROWING
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
-    for acts in _SCATTERING:
+    for acts in SCATTERING:
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
             yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
         for group in groups:
@@ -115,97 +111,6 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
     for family, pattern, sizes in _patterns(sightings, trackers_of(sightings, instruments)):
         hypotheses += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return hypotheses
-
-
-@dataclass(frozen=True)
-class Amounts:
-    """A change of the noise with a variance factor for each of g groups; `members` (g, m) holds their rows."""
-
-    effect: NoiseSignature
-    members: sp.csr_array
-    factors: Floats
-
-    @property
-    def name(self) -> str:
-        """The family."""
-        return self.effect.name
-
-    def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (g, trials) of each amount, sizes averaged."""
-        squares, share = self.members @ residual**2, self.members @ redundancy
-        total = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
-        return total - np.log(len(self.factors))
-
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials)."""
-        raise NotImplementedError
-
-
-class Level(Amounts):
-    """Noise level of the whole recording: common to all observables, or separate for any of them."""
-
-    @classmethod
-    def of(cls, space: ResidualSpace, *, quieter: bool) -> Level:
-        """Noise level of a space; below the declared one only if `quieter`."""
-        level, kind = NoiseLevel(), np.nonzero(space.use)[1]
-        members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.size))
-        return cls(level, members, FACTORS if quieter else FACTORS[FACTORS > 1.0])
-
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence: prior one half for a common factor, one half for any nonempty set of observables."""
-        common = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
-        together = common.averaged(residual, redundancy)[0]
-        any_observable = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
-        separate = (
-            any_observable
-            + np.log(-np.expm1(-np.maximum(any_observable, TINY)))
-            - np.log(2.0 ** len(OBSERVABLES) - 1.0)
-        )
-        return np.logaddexp(together, separate) - np.log(2.0)
-
-
-class NoiseByGroup(Amounts):
-    """Noise that differs between targets, or stations: a share of them has more than declared."""
-
-    @classmethod
-    def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
-        """Hypotheses by target and by station, common to all observables and separate for each."""
-        banks, kinds = [], len(OBSERVABLES)
-        for each, per_observable in product(("target", "station"), (False, True)):
-            names, of = owners_of(space.sightings, each)
-            if len(names) < MIN_GROUPS:
-                continue
-            key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
-            rows = key[space.use]
-            shape = len(names) * (kinds if per_observable else 1), space.size
-            members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
-            banks.append(cls(VarianceFunction(each=each, owners=names, per_observable=per_observable), members, COARSE))
-        if MIN_READINGS <= space.size <= MOST_READINGS:
-            banks += [cls._of_readings(space, acts) for acts in _SCATTERING]
-        return tuple(banks)
-
-    @classmethod
-    def _of_readings(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
-        """Noise with a heavy tail: a share of the readings of some observables has more than declared."""
-        pointing, kind = np.nonzero(space.use)
-        column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
-        places = np.flatnonzero(column >= 0)
-        rows = pointing[places] * len(acts) + column[places]
-        names, _ = owners_of(space.sightings, "reading")
-        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.size))
-        effect = VarianceFunction(acts, each="reading", owners=names, per_observable=True)
-        return cls(effect, members, MUCH_WORSE)
-
-    @property
-    def name(self) -> str:
-        """The family."""
-        return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
-
-    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence, averaged over the share of noisy groups."""
-        each = self.averaged(residual, redundancy)
-        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE]
-        return log_sum_exp(np.stack(whole)) - np.log(len(NOISY_GROUP_SHARE))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import ndtr
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
@@ -99,6 +98,8 @@ def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
 
 def _integral(nearest: Floats, rho: Floats, length: Floats, along: Floats, width: float) -> Floats:
     """Integral (..., n) of w over lines of a length (n,), with standard deviations `along` (n,) them."""
+    from scipy.special import ndtr
+
     share = ndtr((length - nearest) / along) - ndtr(-nearest / along)
     integral: Floats = np.sqrt(2.0 * np.pi) * along * share * np.exp(-0.5 * np.sum(rho**2, axis=-1) / width**2)
     return integral

@@ -11,7 +11,8 @@ from scipy.special import logsumexp
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.noise import FACTORS, NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnosis.noise_groups import FACTORS
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.physics.laws.variance import BOTH_FACES, VarianceFunction

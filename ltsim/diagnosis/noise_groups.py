@@ -1,0 +1,122 @@
+"""Noise of groups of readings: the level of the whole recording, of targets, set-ups, and readings in a heavy tail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
+from ltsim.diagnosis.evidence import restricted
+from ltsim.physics.effects.noise_level import NoiseLevel
+from ltsim.physics.effects.signature import NoiseSignature
+from ltsim.physics.laws.variance import VarianceFunction, owners_of
+from ltsim.recordings.recording import OBSERVABLES
+
+FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
+"""Factors on a variance that are averaged over: steps of a tenth; for one group among many clearly larger ones."""
+NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
+"""Shares of all targets, or set-ups, that have more noise than declared, averaged over."""
+MIN_READINGS, MOST_READINGS = 60, 4000
+"""Numbers of readings with which a heavy tail is a hypothesis: of fewer none is seen, more cost too much."""
+MUCH_WORSE = np.array([4.0, 12.0, 36.0, 100.0])
+"""Factors on the variance of a reading in the tail that are averaged over: two to ten standard deviations."""
+SCATTERING: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
+"""Sets of observables that may have more noise."""
+MIN_GROUPS = 4
+"""Noise by target, or by station, is a hypothesis if there are at least this many of them."""
+
+
+@dataclass(frozen=True)
+class Amounts:
+    """A change of the noise with a variance factor for each of g groups; `members` (g, m) holds their rows."""
+
+    effect: NoiseSignature
+    members: sp.csr_array
+    factors: Floats
+
+    @property
+    def name(self) -> str:
+        """The family."""
+        return self.effect.name
+
+    def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (g, trials) of each amount, sizes averaged."""
+        squares, share = self.members @ residual**2, self.members @ redundancy
+        total = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
+        return total - np.log(len(self.factors))
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,) for residuals (m, trials)."""
+        raise NotImplementedError
+
+
+class Level(Amounts):
+    """Noise level of the whole recording: common to all observables, or separate for any of them."""
+
+    @classmethod
+    def of(cls, space: ResidualSpace, *, quieter: bool) -> Level:
+        """Noise level of a space; below the declared one only if `quieter`."""
+        level, kind = NoiseLevel(), np.nonzero(space.use)[1]
+        members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.size))
+        return cls(level, members, FACTORS if quieter else FACTORS[FACTORS > 1.0])
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence: prior one half for a common factor, one half for any nonempty set of observables."""
+        common = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
+        together = common.averaged(residual, redundancy)[0]
+        any_observable = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
+        separate = (
+            any_observable
+            + np.log(-np.expm1(-np.maximum(any_observable, np.finfo(np.float64).tiny)))
+            - np.log(2.0 ** len(OBSERVABLES) - 1.0)
+        )
+        return np.logaddexp(together, separate) - np.log(2.0)
+
+
+class NoiseByGroup(Amounts):
+    """Noise that differs between targets, or stations: a share of them has more than declared."""
+
+    @classmethod
+    def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
+        """Hypotheses by target and by station, common to all observables and separate for each."""
+        banks, kinds = [], len(OBSERVABLES)
+        for each, per_observable in product(("target", "station"), (False, True)):
+            names, of = owners_of(space.sightings, each)
+            if len(names) < MIN_GROUPS:
+                continue
+            key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
+            rows = key[space.use]
+            shape = len(names) * (kinds if per_observable else 1), space.size
+            members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
+            banks.append(cls(VarianceFunction(each=each, owners=names, per_observable=per_observable), members, COARSE))
+        if MIN_READINGS <= space.size <= MOST_READINGS:
+            banks += [cls._of_readings(space, acts) for acts in SCATTERING]
+        return tuple(banks)
+
+    @classmethod
+    def _of_readings(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
+        """Noise with a heavy tail: a share of the readings of some observables has more than declared."""
+        pointing, kind = np.nonzero(space.use)
+        column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
+        places = np.flatnonzero(column >= 0)
+        rows = pointing[places] * len(acts) + column[places]
+        names, _ = owners_of(space.sightings, "reading")
+        members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.size))
+        effect = VarianceFunction(acts, each="reading", owners=names, per_observable=True)
+        return cls(effect, members, MUCH_WORSE)
+
+    @property
+    def name(self) -> str:
+        """The family."""
+        return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence, averaged over the share of noisy groups."""
+        each = self.averaged(residual, redundancy)
+        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_SHARE]
+        return log_sum_exp(np.stack(whole)) - np.log(len(NOISY_GROUP_SHARE))
