@@ -20,6 +20,7 @@ from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, RecordError
+from ltsim.physics.effects import title_of
 from ltsim.recordings import write
 from ltsim.reports.document import Document
 from ltsim.reports.page import document, render
