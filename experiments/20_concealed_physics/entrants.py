@@ -23,9 +23,25 @@ HUBER, HUBER_ROUNDS = 1.5, 8
 
 def ltsim(recording: Path, out: Path) -> None:
     """`ltsim diagnose`, without the repeated search on held-out readings: it changes nothing that is told."""
+    import numpy as np
+
     import ltsim as lt
 
-    lt.write(lt.diagnose(recording), out)
+    from .measure import Model
+
+    given = lt.read(str(recording))
+    diagnosis = lt.diagnose(given)
+    lt.write(diagnosis, out)
+    change, factors = diagnosis.modelled_change(given), diagnosis.variance_factors(given)
+    notes = {"coefficients": diagnosis.coefficients}
+    Model(np.asarray(change), factors, diagnosis.modelled_length_change(given), notes).write(out)
+
+
+def ideal(recording: Path, out: Path) -> None:
+    """The ideal observer: it is told the hall without noise and the list of laws, but not what was drawn."""
+    from .ideal import answer as ideal_answer
+
+    ideal_answer(recording, out)
 
 
 def plain(recording: Path, out: Path) -> None:
@@ -103,7 +119,8 @@ def _targets(out: Path, names: Sequence[str], places_mm: Any) -> None:
     (out / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *rows]) + "\n", encoding="utf-8")
 
 
-ENTRANTS: dict[str, Callable[[Path, Path], None]] = {f.__name__: f for f in (ltsim, plain, snooping, huber, gama)}
+PROGRAMS: tuple[Callable[[Path, Path], None], ...] = (ltsim, plain, snooping, huber, gama, ideal)
+ENTRANTS = {program.__name__: program for program in PROGRAMS}
 NEEDED = {"gama": "gama-local"}  # programs that have to be on the PATH
 
 

@@ -45,7 +45,8 @@ class Cause:
     def truth(self) -> dict[str, Any]:
         """What is sealed of it, but for its strength."""
         listed = zip(self.names, self.values.tolist(), self.units, strict=False)
-        return self.words | {"parameters": [{"name": n, "value": v, "unit": u} for n, v, u in listed]}
+        parameters = [{"name": n, "value": v, "unit": u} for n, v, u in listed]
+        return {"coefficients": len(self.parts)} | self.words | {"parameters": parameters}
 
 
 @dataclass(frozen=True)
@@ -57,21 +58,26 @@ class Law:
     draw: Callable[[Hall, Draw], Change]
     follows: tuple[tuple[str, ...], ...]
     optional: tuple[str, ...]
+    signals: int
     group: str
 
     def __call__(self, h: Hall, rng: Draw) -> Cause:
         """The law with its constants drawn."""
         change = self.draw(h, rng)
         words = {"text": self.text, "follows": self.follows, "may": self.optional, "group": self.group}
+        words["coefficients"] = self.signals
         return Cause((change,), np.ones(1), words | place(h, change))
 
 
 _FOUND: dict[str, Law] = {}
 
 
-def law(*follows: str, may: str = "") -> Callable[[Callable[[Hall, Draw], Change]], Callable[[Hall, Draw], Change]]:
+def law(
+    *follows: str, may: str = "", signals: int = 1
+) -> Callable[[Callable[[Hall, Draw], Change]], Callable[[Hall, Draw], Change]]:
     """Declare a law that follows all of these covariates, alternatives as `"time|approach"`; `may`: it may be told too.
 
+    `signals`: the number of independent signals of which the law is the sum, each with a coefficient.
     The words are those of RULES.md; the law's name is the function's.
     """
 
@@ -80,7 +86,7 @@ def law(*follows: str, may: str = "") -> Callable[[Callable[[Hall, Draw], Change
         if name in _FOUND and _FOUND[name].group != group:
             raise ValueError(f"two laws are called {name}: in {_FOUND[name].group} and in {group}")
         items = tuple(tuple(item.split("|")) for item in follows)
-        _FOUND[name] = Law(name, (draw.__doc__ or "").strip(), draw, items, tuple(may.split()), group)
+        _FOUND[name] = Law(name, (draw.__doc__ or "").strip(), draw, items, tuple(may.split()), signals, group)
         return draw
 
     return keep

@@ -7,9 +7,9 @@ import zlib
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.optimize import brentq
@@ -41,6 +41,12 @@ class Case:
     strength: int
     number: int
     laws: tuple[str, ...]
+
+    @classmethod
+    def of(cls, truth: dict[str, Any]) -> Self:
+        """The case of a recording from its truth: what is drawn of it is the same again."""
+        given = {field.name: truth[field.name] for field in fields(cls)}
+        return cls(**given | {"laws": tuple(truth["laws"])})
 
     @property
     def words(self) -> str:
@@ -101,7 +107,7 @@ def make_one(case: Case, folder: Path) -> dict[str, Any]:
     told = {"clean": (), "catalogued": cause.parts, "unknown": (change,)}[case.kind]
     return {
         "name": case.name,
-        **{key: getattr(case, key) for key in ("kind", "hall", "law", "strength", "number")},
+        **{key: getattr(case, key) for key in ("seed", "laws", "kind", "hall", "law", "strength", "number")},
         "hidden": strength | cause.truth if cause.parts else None,
         "stations": len(hall.stations),
         "unknowns": network.design.shape[1],

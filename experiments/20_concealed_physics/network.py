@@ -35,29 +35,50 @@ class Network:
 
     def signature(self, change: Change) -> Array:
         """(m,) Whitened change of the readings."""
-        difference = self.hall.pointings.readings(change) - self.base
+        return self.whitened(self.hall.pointings.readings(change) - self.base, change.lengths)
+
+    def whitened(self, readings: Array, lengths: Array | None = None) -> Array:
+        """(m,) Differences of the readings (n, 3) and of the known lengths (g,) over their standard deviations."""
+        difference = readings.copy()
         difference[:, 1] = within_a_turn(difference[:, 1])
         whole = self._rows(difference / self.hall.sigma)
-        if change.lengths is not None:
-            whole[difference.size : difference.size + len(change.lengths)] = change.lengths / LENGTH_SIGMA
+        if lengths is not None:
+            whole[difference.size : difference.size + len(lengths)] = lengths / LENGTH_SIGMA
         return whole
 
     def _rows(self, readings: Array) -> Array:
         return np.concatenate([readings.ravel(), np.zeros(len(self.design) - readings.size)])
 
     def strengths(self, change: Change) -> Array:
-        """(4,) What distance, azimuth, elevation and lengths have in it: their changes times what is left of these.
+        """(4,) Strength of a change by observable and in the lengths; the sum is the strength.
 
-        The sum is the noncentrality that is left; for noise the expected drop of minus twice the restricted log
-        likelihood.
+        Noncentrality that is left after the least squares; for noise the expected drop of minus twice the restricted
+        log likelihood.
         """
-        readings = self.base.size
         if change.variance is not None:
-            factor = 1.0 + change.variance.ravel()
-            each = (1.0 - (self.basis[:readings] ** 2).sum(axis=1)) * (factor - 1.0 - np.log(factor))
-        else:
-            whole = self.signature(change)
-            each = whole * (whole - self.basis @ (self.basis.T @ whole))
+            return self.noise_strengths(1.0 + change.variance)
+        return self.mean_strengths(self.signature(change))
+
+    def mean_strengths(self, whole: Array) -> Array:
+        """(4,) Noncentrality of a whitened change (m,), by observable and in the lengths: change times its residual."""
+        return self._by_observable(whole * self.residual(whole))
+
+    def noise_strengths(self, factor: Array) -> Array:
+        """(4,) Expected drop of minus twice the restricted log likelihood, for factors (n, 3) on the variance."""
+        factor = factor.ravel()
+        return self._by_observable(self.redundancy * (factor - 1.0 - np.log(factor)))
+
+    @property
+    def redundancy(self) -> Array:
+        """(3 n,) Redundancy of each reading."""
+        return np.asarray(1.0 - (self.basis[: self.base.size] ** 2).sum(axis=1))
+
+    def residual(self, whole: Array) -> Array:
+        """(m, ...) Projection of whitened columns off the unknowns of the adjustment."""
+        return np.asarray(whole - self.basis @ (self.basis.T @ whole))
+
+    def _by_observable(self, each: Array) -> Array:
+        readings = self.base.size
         return np.append(each[:readings].reshape(-1, 3).sum(axis=0), each[readings:].sum())
 
     def target_error(self, noise: tuple[Array, Array], change: Change, told: Sequence[Change] = ()) -> float:

@@ -30,7 +30,10 @@ QUESTIONS = {
     "place": "place right, of what was named or called unknown",
     "wrong_name": "a wrong name above 0.9",
     "one_finding": "told as one finding",
+    "told_rightly": "told rightly: 75 % of the signal, place, observable",
+    "law_right": "the right law of the list",
     "worse": "targets worse than plain",
+    "worse_than_calibrate": "targets worse than those of `plain` (calibrate) on the same file",
     "told_worse": "targets of somebody told the truth worse than plain",
 }
 Answer = dict[str, Any]
@@ -58,6 +61,11 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
             asked = [r for r in of if key != "place" or r.get("named", r.get("unknown"))]
             if any(key in r for r in of):
                 found[f"{kind} {hall} {strength}: {question}"] = _share(asked, key)
+        for level, word in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
+            found[f"{kind} {hall} {strength}: share of the signal taken, {word}"] = _quantile(of, "share_taken", level)
+        found[f"{kind} {hall} {strength}: coefficients over those of the law, median"] = _quantile(
+            of, "coefficients", 0.5
+        )
         for who, error in (("targets", "error_um"), ("targets of plain", "plain_um")):
             known = [r for r in of if r.get("error_um") is not None]
             ratios = [r[error] / r["told_um"] for r in known]
@@ -92,6 +100,19 @@ def _share(rows: Sequence[Row], key: str) -> Answer:
     return share([bool(r[key]) for r in own], [_cluster(r) for r in own])
 
 
+def _quantile(rows: Sequence[Row], key: str, level: float) -> Answer:
+    own = [r for r in rows if r.get(key) is not None]
+    return quantile([r[key] for r in own], [_cluster(r) for r in own], level)
+
+
+def compare_with_calibrate(rows: dict[str, list[Row]]) -> None:
+    """Mark the answers whose targets are more than 5 % worse than those of the entrant `plain` on the same file."""
+    plain = {r["name"]: r["error_um"] for r in rows.get("plain", ()) if r.get("error_um") is not None}
+    for r in (r for own in rows.values() for r in own):
+        if r.get("error_um") is not None and r["name"] in plain:
+            r["worse_than_calibrate"] = r["error_um"] > WORSE * plain[r["name"]]
+
+
 def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]) -> None:
     """recordings.jsonl, scores.json, table.md; entrants that are not among these keep what they have of this truth."""
     out.mkdir(parents=True, exist_ok=True)
@@ -99,6 +120,7 @@ def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]
     before = json.loads(scores.read_text(encoding="utf-8")) if scores.is_file() else {}
     same = before.get("sha256") == head["sha256"]
     rows = (read_rows(out / ROWS) if same else {}) | entrants
+    compare_with_calibrate(rows)
     columns = ["entrant", *dict.fromkeys(key for own in rows.values() for r in own for key in r)]
     lines = [[name, *(r.get(key) for key in columns[1:])] for name, own in rows.items() for r in own]
     (out / ROWS).write_text("".join(json.dumps(_short(line)) + "\n" for line in [columns, *lines]), encoding="utf-8")

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .law import OBSERVABLES
+from .make import Case, drawn
+from .measure import Model
 
 Row = dict[str, Any]
 LIMIT = 1.959964
@@ -17,6 +20,8 @@ SHOWN = 0.1
 """Share of the strength from which an observable is one that shows a law."""
 OVERLAP = 0.5
 """Share of common names from which several stations or targets are the right ones."""
+RIGHT = 0.75
+"""Share of the true signal from which a model describes it rightly; half the size takes as much."""
 HIGH = 0.9
 GEOMETRY = {"distance", "azimuth", "elevation", "incidence", "height", "place", "face"}
 """What the pointing itself says: a constant or a motion shows by these, so they need not be told beside it."""
@@ -51,7 +56,38 @@ def score_one(truth: dict[str, Any], folder: Path) -> Row:
         row |= _named(truth, first)
     if truth["kind"] == "unknown":
         row |= _recognised(hidden, first)
+    if truth["kind"] != "clean":
+        row |= _measured(truth, first, folder)
     return row
+
+
+def _measured(truth: dict[str, Any], finding: dict[str, Any] | None, folder: Path) -> Row:
+    """Share of the true signal that is taken, told rightly, coefficients over those of the truth, law of the list."""
+    _, network, _, change = drawn(Case.of(truth), Counter())
+    model, hidden, noise = Model.read(folder, network), truth["hidden"], change.variance is not None
+    row: Row = {"share_taken": model.share(network, change), "told_rightly": False}
+    if "law" in model.notes:
+        row["law_right"] = model.notes["law"] == truth["law"]
+    if finding is None:
+        return row
+    row["place_right"] = place_right(truth, finding)
+    row["observable_shown"] = (
+        set(hidden.get("observables", ())) == set(finding["where"].get("observables", ())) != set()
+        or observable_right(hidden, finding)
+        or ("gauge" not in hidden["carriers"] and model.observables(network, SHOWN, noise=noise) == _shown(hidden))
+    )
+    row["told_rightly"] = row["share_taken"] >= RIGHT and row["place_right"] and row["observable_shown"]
+    if model.notes.get("coefficients"):
+        row["coefficients"] = model.notes["coefficients"] / hidden["coefficients"]
+    return row
+
+
+def place_right(truth: dict[str, Any], finding: dict[str, Any]) -> bool:
+    """Stations, targets and instruments of an effect; stations and instruments of a law, whatever it is called."""
+    keys = ("stations", "targets") if truth["kind"] == "catalogued" else ("stations", "instruments")
+    pairs = [(set(truth["hidden"][key]), set(finding["where"].get(key, []))) for key in keys]
+    several = truth["kind"] == "unknown"
+    return all(_alike(true, told) or (several and len(true) > 1 and not told) for true, told in pairs)
 
 
 def right(truth: dict[str, Any], finding: dict[str, Any]) -> bool:
@@ -118,9 +154,7 @@ def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     outside = observable and (finding.get("outside", False) or not _covariates(finding))
     covariates = observable and not finding.get("outside", False) and covariates_right(hidden, finding)
     wrong = not unknown and finding.get("evidence", {}).get("probability", 0.0) > HIGH
-    told = [set(finding["where"].get(key, [])) for key in ("stations", "instruments")]
-    place = unknown and all(_alike(set(hidden[key]), t) or (len(hidden[key]) > 1 and not t)
-                            for key, t in zip(("stations", "instruments"), told, strict=True))  # fmt: skip
+    place = unknown and place_right({"kind": "unknown", "hidden": hidden}, finding)
     values = (unknown, observable, covariates, outside and not covariates, covariates or outside, place, wrong)
     told_as = {f"told_{key}": finding.get(key, "") for key in ("carrier", "driver")}
     return told_as | dict(zip(asked, values, strict=True))

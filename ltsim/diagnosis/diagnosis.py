@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.tests import Test
@@ -24,7 +26,9 @@ from ltsim.diagnosis.schema import (
     Misfit,
     Undetectable,
 )
+from ltsim.geometry.polar import wrap
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.result_file import SourceEntry
 
 
@@ -92,6 +96,44 @@ class Diagnosis(Result):
             "sigma": [p.sigma for _, p in rows],
             "unit": [p.unit for _, p in rows],
         }
+
+    def modelled_change(self, recording: Recording) -> Floats:
+        """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
+
+        `recording` is the recording that was diagnosed; readings without a modelled change have 0.
+        """
+        adjusted, state = self.adjusted, self.adjusted.state
+        model = adjusted.problem.model
+        change = model.effects_shift(model.sightings(state), state.extra)
+        change = np.where(adjusted.rejected, change + adjusted.residuals, change)
+        corrected = recording.readings - adjusted.recording.readings
+        corrected[:, 1:] = wrap(corrected[:, 1:])
+        return np.nan_to_num(change + corrected)
+
+    def modelled_length_change(self, recording: Recording) -> Floats:
+        """Change (g,) [m] of the reference lengths of the recording that the diagnosis models.
+
+        A length that the diagnosis rejects changes by its difference from the adjusted distance.
+        """
+        problem, state = self.adjusted.problem, self.adjusted.state
+        none = replace(state, extra=np.zeros_like(state.extra))
+        shifts = problem.length_residuals(none) - problem.length_residuals(state)
+        gauge = problem.gauge
+        used = dict(zip(zip(gauge.first.tolist(), gauge.second.tolist(), strict=True), shifts.tolist(), strict=True))
+        lengths = ReferenceLengths.of(recording)
+        arm = state.points[lengths.second] - state.points[lengths.first]
+        differences = lengths.length - np.sqrt((arm**2).sum(axis=1))
+        ends = zip(lengths.first.tolist(), lengths.second.tolist(), strict=True)
+        return np.array([used.get(pair, gap) for pair, gap in zip(ends, differences.tolist(), strict=True)])
+
+    def variance_factors(self, recording: Recording) -> Floats:
+        """Factors (n, 3) on the declared variance of the readings in the model of the diagnosis; 1 if unchanged."""
+        return np.nan_to_num((self.adjusted.problem.sigma / recording.sigma()) ** 2, nan=1.0)
+
+    @property
+    def coefficients(self) -> int:
+        """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings."""
+        return self.adjusted.problem.model.effects_size or sum(len(finding.parameters) for finding in self.findings)
 
     def file(self, recording: Recording | None = None) -> DiagnosisFile:
         """The content of `diagnosis.json`, which names the recording where that is given."""

@@ -92,6 +92,8 @@ def test_physics_outside_the_catalogue_is_called_unknown():
     first = found.findings[0]
     assert (first.effect, first.is_catalogued) == ("unknown", False)
     assert first.where.observables == ("distance",)
+    assert np.corrcoef(found.modelled_change(recording)[:, 0], change[:, 0])[0, 1] > 0.9
+    assert (found.variance_factors(recording) == 1.0).all()
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula
     assert found.after.held_out_rms < found.before.held_out_rms
@@ -272,6 +274,8 @@ def test_one_bad_reading_is_an_outlier():
     assert first.where.stations == (recording.stations[recording.station[41]],)
     assert first.where.targets == (recording.targets[recording.target[41]],)
     assert first.where.observables == ("distance",)
+    change = found.modelled_change(recording.with_readings(readings))
+    assert change[41, 0] == pytest.approx(8e-5, abs=2e-5) and np.count_nonzero(change) == 1
 
 
 def test_exchanged_reflectors_are_named_and_mended():
