@@ -100,21 +100,15 @@ def diagnose(
         use = baseline.problem.use
     else:
         baseline, use, mistaken = adapted(recording, construction, selection)
-
-    def searched() -> tuple[SelectionState, DetectabilityReport, Detection, Model, Refit]:
-        """State, detectability, detection, model and refit of the present baseline."""
-        trials = max(TRIALS, ceil(1.0 / level))
-        case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-        report, detection = detectability_report(case.space, case.searcher.cards), detect(case.searcher, case.bank)
-        model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
-        return case, report, detection, *_refitted(case, model)
-
-    case, detectability, detection, model, fitted = searched()
+    trials = max(TRIALS, ceil(1.0 / level))
+    case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
+    detectability, detection, model, fitted = _searched(case, level, compared)
     if selection is not None and model.members:
         restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
             baseline, use, mistaken = adapted(recording, construction, selection, restored=restored)
-            case, detectability, detection, model, fitted = searched()
+            case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
+            detectability, detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
@@ -135,6 +129,15 @@ def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
 
 Compared = Callable[[Adjustment, float], list[Contradiction]]
 """Function from an adjustment and a smallest log evidence to the constants that contradict their reference."""
+
+
+def _searched(
+    case: SelectionState, level: float, compared: Compared
+) -> tuple[DetectabilityReport, Detection, Model, Refit]:
+    """Detectability and detection in the network as it is, the model selected if it is rejected, and its refit."""
+    report, detection = detectability_report(case.space, case.searcher.cards), detect(case.searcher, case.bank)
+    model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
+    return report, detection, *_refitted(case, model)
 
 
 def _contradicting_constants(

@@ -262,7 +262,6 @@ class Explained:
 def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
     """Finding of a change of the noise, in the observables where it is significant."""
     effect = hypothesis.effect
-    probability = hypothesis.probability
     where = where_of(effect, _scattering(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
     rows = [Estimate.of(*names) for names in every if np.isfinite(names[2])]
@@ -292,9 +291,9 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
             chi2_drop=hypothesis.drop,
             parameters=len(rows),
             p_value=detection.chance(hypothesis.evidence),
-            probability=probability,
+            probability=hypothesis.probability,
         ),
-        sentence=sentence or catalogue_sentence(effect.name, where, rows, probability),
+        sentence=sentence or catalogue_sentence(effect.name, where, rows, hypothesis.probability),
         equivalents=hypothesis.equivalents,
         **_without_empty(more),
     )

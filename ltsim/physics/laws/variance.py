@@ -115,13 +115,3 @@ class VarianceFunction(NoiseSignature):
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added[:, None] * np.array(acts))
         return grown
-
-    @property
-    def hall_centre(self) -> tuple[float, ...]:
-        """Centre [m] of its region of the hall."""
-        return self.region.centre if self.region else ()
-
-    @property
-    def hall_axes(self) -> str:
-        """Axes of these coordinates."""
-        return self.region.axes if self.region else ""

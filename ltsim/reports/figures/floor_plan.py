@@ -342,7 +342,8 @@ def whereabouts(
         least = LEAST_AREA * workshop.size
         ax.add_patch(Ellipse((x, y), 2 * max(wide, least), 2 * max(high, least), color=style.RED, alpha=0.35, zorder=8))
         ax.scatter(x, y, marker="+", s=90, color=style.RED, zorder=9)
-    for axis, (centre, half) in (area or {}).items() if area and len(area) == 1 else ():
+    elif area:
+        ((axis, (centre, half)),) = area.items()
         span = ax.axvspan if axis == "x" else ax.axhspan
         span(centre - half, centre + half, color=style.RED, alpha=0.35, zorder=8)
     names = [*workshop.stations, *workshop.targets]
