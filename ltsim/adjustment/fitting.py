@@ -7,7 +7,7 @@ level, a known mark. Small fits run from many starts at once, and the best is ta
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -52,6 +52,11 @@ class Sight:
     def count(self) -> int:
         """Number of readings."""
         return int(np.isfinite(self.readings).sum())
+
+    @property
+    def azimuths(self) -> Sight:
+        """The same rows with their azimuths alone."""
+        return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
     def few(self) -> tuple[Ints, Sight]:
         """Subset of at most `ROWS` rows."""

@@ -210,6 +210,8 @@ class NetworkInitialiser:
             level = self._upright and bool(self._frame.level[station])
             sight = Sight(self._front[rows], self._flat[rows], self._lift[rows])
             pose = fit_pose(sight, places[recording.target[rows]], level=level, position=stand)
+            if pose is None and level and stand is not None:  # a wrong range or elevation leaves the heading
+                pose = fit_pose(sight.azimuths, places[recording.target[rows]], level=True, position=stand)
             if pose is not None:
                 self._place(station, *pose)
                 return True

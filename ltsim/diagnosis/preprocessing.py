@@ -11,6 +11,7 @@ from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import Selection, outcomes
 from ltsim.adjustment.identification.fit import Fit, changed_recording
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
+from ltsim.adjustment.identification.selection import BEYOND_DOUBT
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of, gross_finding
@@ -20,9 +21,12 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 FAR_OUT = 8.0
-"""Normalised residual that noise does not reach in any recording, even where it is twice the declared one."""
+"""Error of an outlier against its prediction, in standard deviations, that noise twice the declared one does not reach.
+"""
 AGREES = 4.0
 """Residual over the standard deviation up to which an omitted reading agrees: beyond the noise of any reading used."""
+GROSS = 30.0
+"""Standard deviations that a gross error exceeds too: noise of long sights is larger than any error of a tracker."""
 PATTERN = 2
 """Outliers of one observable at one station or target up to which they are single errors."""
 
@@ -30,12 +34,13 @@ PATTERN = 2
 def mistakes_in(selection: Selection) -> list[Hypothesis]:
     """The hypotheses of a selection with which a network is adjusted before an effect is searched for.
 
-    Rows that were written down wrongly and reference values that contradict the rest. Shifts only where one is beyond
-    any error of a tracker, which no effect in first order reaches: then all of them, since each was judged with it.
+    Rows that were written down wrongly and reference values that contradict the rest, where they are beyond doubt.
+    Shifts only where one is gross, which no effect in first order reaches: then all of them, since each was judged with
+    it.
     """
-    fit, chosen = selection.fit, [c.hypothesis for c in selection.choices]
+    fit, chosen = selection.fit, [c.hypothesis for c in selection.choices if c.gain > BEYOND_DOUBT]
     shifts = [h for h in chosen if isinstance(h.change, Shift)]
-    gross = any(fit.displacement(h) > LARGEST_ERROR for h in shifts)
+    gross = any(fit.displacement(h) > LARGEST_ERROR and fit.length(h) > GROSS for h in shifts)
     return [h for h in chosen if not isinstance(h.change, NoiseFactor) and (gross or not isinstance(h.change, Shift))]
 
 
@@ -44,10 +49,10 @@ def single_errors(fit: Fit) -> Bools:
 
     Several readings of an observable that are off at one station or at one target may follow an effect instead.
     """
-    far = fit.outliers & (np.abs(fit.whitened) > FAR_OUT)
-    single = fit.outliers & fit.is_gross
+    error = np.abs(fit.prediction_errors)
+    far, single = error > FAR_OUT, fit.is_gross & (error > GROSS)
     for place in (fit.recording.station, fit.recording.target):
-        count = np.stack([np.bincount(place, far[:, k], place.max() + 1) for k in range(3)], axis=1)
+        count = np.stack([np.bincount(place, fit.outliers[:, k], place.max() + 1) for k in range(3)], axis=1)
         far &= count[place] <= PATTERN
     return single | far
 

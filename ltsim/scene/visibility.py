@@ -224,9 +224,10 @@ def narrowest_cone(directions: Floats, steps: int = 1000) -> Floats:
     It is the smallest ball around the vectors. Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges
     as 1/i.
     """
-    centre = directions.mean(axis=-2)
+    flat = directions.reshape(-1, *directions.shape[-2:])
+    centre, every = flat.mean(axis=-2), np.arange(len(flat))
     for i in range(1, steps + 1):
-        farthest = np.argmin(np.einsum("...sk,...k->...s", directions, centre), axis=-1)[..., None, None]
-        centre += (np.take_along_axis(directions, farthest, axis=-2)[..., 0, :] - centre) / (i + 1)
-        centre /= np.linalg.norm(centre, axis=-1, keepdims=True)
-    return centre
+        farthest = np.argmin(np.einsum("tsk,tk->ts", flat, centre), axis=-1)
+        centre += (flat[every, farthest] - centre) / (i + 1)
+        centre /= np.sqrt(np.sum(centre**2, axis=1, keepdims=True))
+    return centre.reshape(directions.shape[:-2] + directions.shape[-1:])

@@ -57,6 +57,30 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     assert told.evidence.chi2_drop == pytest.approx(float(space.residual[at][0]) ** 2 / redundancy, rel=0.01)
 
 
+@pytest.mark.parametrize(("sigmas", "is_error"), [(7.0, False), (40.0, True)])
+def test_an_outlier_of_a_long_sight_is_no_gross_error_by_its_size_alone(sigmas, is_error):
+    """In a hall 200 times as large, an angle off by a few standard deviations displaces its target by centimetres."""
+    recording, _ = network(seed=4)
+    readings = recording.readings * [200.0, 1.0, 1.0]
+    large = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": None}))
+    selection = identified(changed(large, 40, 1, sigmas), misalignment())
+    assert selection is not None
+    assert selection.fit.is_gross[40, 1]
+    assert bool(single_errors(selection.fit)[40, 1]) == is_error
+
+
+def test_outliers_share_their_place_with_those_that_are_small():
+    """Three readings of one observable at a station may follow an effect, of which two are far out."""
+    recording = network(seed=4)[0]
+    rows = np.flatnonzero(recording.station == 2)[[2, 9, 16]]
+    for row, sigmas in zip(rows, (14.0, -14.0, 7.0), strict=True):
+        recording = changed(recording, row, 1, sigmas)
+    selection = identified(recording, misalignment())
+    assert selection is not None
+    assert selection.fit.outliers[rows, 1].all()
+    assert not single_errors(selection.fit).any()
+
+
 @pytest.mark.parametrize("last", [True, False])
 def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
     recording, _ = workshop(2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +12,12 @@ from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.adjustment.identification.selection import LARGEST_GAIN, Choice, Selection
 from ltsim.adjustment.identification.signatures import ReadingShift
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
-from ltsim.solve.design import as_dense
 
 
 class Place(Entry):
@@ -261,11 +259,11 @@ def _outliers(fit: Fit) -> list[Test]:
     recording, tests = fit.recording, list[Test]()
     at = np.argwhere(fit.outliers)
     at = at[np.argsort(-np.abs(fit.whitened[fit.outliers]))][:MOST_OUTLIERS]
-    for (i, k), spread in zip(at.tolist(), _prediction_spread(fit, at).tolist(), strict=True):
+    for i, k in at.tolist():
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
-        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k]) * float(np.sqrt(1.0 + spread))
-        drop = (value / sigma) ** 2
+        value, normalised = float(fit.residuals[i, k]), float(fit.prediction_errors[i, k])
+        sigma, drop = abs(value / normalised), normalised**2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
             f"{with_sigma(abs(value) / factor, sigma / factor, unit)}: measure it again."
@@ -291,20 +289,6 @@ def _outliers(fit: Fit) -> list[Test]:
             )
         )
     return tests
-
-
-def _prediction_spread(fit: Fit, at: Ints) -> Floats:
-    """Variance (k,) of the predictions of some readings that are not in use (k, 2), in their declared variances."""
-    use = np.zeros_like(fit.whole.use)
-    use[tuple(at.T)] = True
-    if not len(at):
-        return np.zeros(0)
-    design = as_dense(replace(fit.whole, use=use).linearise(fit.state).design[: len(at)])
-    order = np.lexsort(at.T[::-1])
-    response = fit.adjustment.factor.covariance_columns(np.ascontiguousarray(design.T))
-    spread = np.empty(len(at))
-    spread[order] = np.einsum("ki,ik->k", design, response)
-    return spread
 
 
 def _moved_instead(fit: Fit, row: int, drop: float) -> float:
