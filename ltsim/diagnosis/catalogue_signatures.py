@@ -105,12 +105,12 @@ class CatalogueSignatures:
             places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
             if len(places):
                 signature = signature[places]
-                effect = _scaled_to_noise(effect, signature, pointing[places])
-                sizes = effect.spread
-                rows = np.ascontiguousarray((signature * sizes).T, dtype=np.float32)
+                signature *= effect.spread
+                effect, coarser = _scaled_to_noise(effect, signature, pointing[places])
+                rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
                 sparse = len(places) < SPARSE * space.size
                 touched = () if sparse else tuple(np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0)
-                by_shape.setdefault((len(sizes), touched), []).append((len(touching), places, rows))
+                by_shape.setdefault((len(rows), touched), []).append((len(touching), places, rows))
                 touching.append(effect)
         groups = [
             _sparse(size, made, space.size)
@@ -164,15 +164,16 @@ class CatalogueSignatures:
         return log_means(values, self.family, len(self.families)) if self.effects else values
 
 
-def _scaled_to_noise(effect: Tunable, signature: Floats, pointing: Ints) -> Tunable:
-    """Effect with a plausible size raised to the noise level; air has the same plausible size for all instruments.
+def _scaled_to_noise(effect: Tunable, signature: Floats, pointing: Ints) -> tuple[Tunable, float]:
+    """Effect with a plausible size raised to the noise level, and the factor; 1 for air, which is that of the hall.
 
-    By the rows of its whitened signature (r, q) that are not zero, and the pointing (r,) of each.
+    By the rows of its whitened signature (r, q) of plausible sizes that are not zero, and the pointing (r,) of each.
     """
     if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == Stage.AIR:
-        return effect
-    squares = np.bincount(pointing, np.mean((signature * effect.spread) ** 2, axis=1))
-    return replace(effect, coarse=times_to_noise(np.sqrt(squares)))
+        return effect, 1.0
+    squares = np.bincount(pointing, np.einsum("rq,rq->r", signature, signature) / signature.shape[1])
+    coarser = times_to_noise(np.sqrt(squares))
+    return replace(effect, coarse=coarser) if coarser > 1.0 else effect, coarser
 
 
 def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:

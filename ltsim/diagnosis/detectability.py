@@ -1,6 +1,7 @@
 """Detectability of effects in a network, and the measurement that discriminates between explanations."""
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby, repeat
 
 import numpy as np
 
@@ -60,17 +61,18 @@ def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> De
 
 def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
     """Detectability of an effect at a sample of its places, in double precision, as it is reported."""
-    sample, entries = thinned(effects), []
-    step = max(1, AT_ONCE // (space.size * len(sample[0].parameters)))
-    for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
-        signatures = [space.signature(effect) for effect in batch]
-        edges = np.cumsum([0, *(signature.shape[1] for signature in signatures)])
-        grams = space.projection.grams(np.hstack(signatures), edges, slice(None))
-        for effect, signature, gram in zip(batch, signatures, grams, strict=True):
-            norm = np.linalg.norm(signature, axis=0)
+    entries: list[tuple[Effect, Floats, float, int, Floats]] = []
+    for size, same in groupby(thinned(effects), key=lambda effect: len(effect.parameters)):
+        sample = list(same)
+        step = max(1, AT_ONCE // (space.size * size))
+        for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
+            signatures = np.hstack([space.signature(effect) for effect in batch])
+            edges = np.arange(0, signatures.shape[1] + 1, size)
+            grams = np.stack(space.projection.grams(signatures, edges, slice(None)))
+            norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
-            information = visible_information(gram / np.outer(unit, unit), norm, VISIBLE)
-            entries.append((effect, *information, np.zeros((0, 0))))
+            information, share, rank = visible_information(grams / (unit[:, :, None] * unit[:, None, :]), norm, VISIBLE)
+            entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(entries, len(effects))
 
 

@@ -102,13 +102,15 @@ def diagnose(
         baseline, use, mistaken = adapted(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
     case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-    detectability, detection, model, fitted = _searched(case, level, compared)
+    beginning = case.space, case.searcher.cards
+    detection, model, fitted = _searched(case, level, compared)
     if selection is not None and model.members:
         restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
             baseline, use, mistaken = adapted(recording, construction, selection, restored=restored)
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-            detectability, detection, model, fitted = _searched(case, level, compared)
+            beginning = case.space, case.searcher.cards
+            detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
@@ -116,6 +118,7 @@ def diagnose(
     explained = Explained(case, detection, model, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, LEAST_GAIN, repeated)
+    detectability = detectability_report(*beginning)
     return _report(explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 
@@ -131,13 +134,11 @@ Compared = Callable[[Adjustment, float], list[Contradiction]]
 """Function from an adjustment and a smallest log evidence to the constants that contradict their reference."""
 
 
-def _searched(
-    case: SelectionState, level: float, compared: Compared
-) -> tuple[DetectabilityReport, Detection, Model, Refit]:
-    """Detectability and detection in the network as it is, the model selected if it is rejected, and its refit."""
-    report, detection = detectability_report(case.space, case.searcher.cards), detect(case.searcher, case.bank)
+def _searched(case: SelectionState, level: float, compared: Compared) -> tuple[Detection, Model, Refit]:
+    """Detection in the network as it is, the model selected if it is rejected, and its refit."""
+    detection = detect(case.searcher, case.bank)
     model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
-    return report, detection, *_refitted(case, model)
+    return detection, *_refitted(case, model)
 
 
 def _contradicting_constants(

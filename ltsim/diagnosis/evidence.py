@@ -177,8 +177,11 @@ def times_to_noise(strength: Floats) -> float:
     `strength` (n,) is the effect of a plausible size on each pointing over the noise; its median over the affected
     pointings becomes 1.
     """
-    touched = strength[strength > 0]
-    return 1.0 / float(np.clip(np.median(touched), 1.0 / COARSEST, 1.0)) if len(touched) else 1.0
+    touched = np.sort(strength[strength > 0])
+    if not len(touched):
+        return 1.0
+    median = 0.5 * float(touched[(len(touched) - 1) // 2] + touched[len(touched) // 2])
+    return 1.0 / min(max(median, 1.0 / COARSEST), 1.0)
 
 
 MIN_SHARE, MIN_PROJECTED_SHARE = 0.01, 0.1

@@ -51,7 +51,10 @@ class Region:
 
     def path(self, sightings: Sightings) -> Floats:
         """Length (n,) [m] of each line of sight in the region: the integral of w."""
-        return paths(sightings, self.axes, np.array([self.centre]), self.width)[0]
+        if self not in sightings.derived:
+            sightings.derived[self] = paths(sightings, self.axes, np.array([self.centre]), self.width)[0]
+        path: Floats = sightings.derived[self]
+        return path
 
     def bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Path (n,) [m] in a ball, and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
@@ -113,26 +116,36 @@ def extent(sightings: Sightings) -> tuple[Floats, Floats]:
 
 def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> list[Region]:
     """Regions of some shapes on a grid over the hall that some, but not almost all, lines of sight pass."""
-    if not len(sightings):
-        return []
+    regions: list[Region] = []
+    for axes in shapes if len(sightings) else ():
+        key = "regions", axes
+        if key not in sightings.derived:
+            sightings.derived[key] = _regions(sightings, axes)
+        regions += sightings.derived[key]
+    return regions
+
+
+def _regions(sightings: Sightings, axes: str) -> list[Region]:
+    """Regions of one shape on the grid."""
     low, high = extent(sightings)
     step = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
-    width, regions = round(0.5 * step, 6), []
-    for axes in shapes:
-        at = ["xyz".index(axis) for axis in axes]
-        grids = [np.arange(low[i] + 0.5 * step, high[i], step).tolist() for i in at]
-        centres = np.array(list(product(*grids))).reshape(-1, len(at))
-        for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
-            inside = paths(sightings, axes, part, width) > width
-            chosen = part[_distinctive(inside, sightings)].round(6).tolist()
-            regions += [Region(axes, tuple(centre), width) for centre in chosen]
+    width, regions = round(0.5 * step, 6), list[Region]()
+    grids = [np.arange(low[i] + 0.5 * step, high[i], step).round(6).tolist() for i in map("xyz".index, axes)]
+    centres = np.array(list(product(*grids))).reshape(-1, len(axes))
+    for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
+        inside = paths(sightings, axes, part, width)
+        for i in np.flatnonzero(_distinctive(inside > width, sightings)).tolist():
+            regions.append(region := Region(axes, tuple(part[i].tolist()), width))
+            sightings.derived[region] = inside[i].copy()
     return regions
 
 
 def _distinctive(passing: Bools, sightings: Sightings) -> Bools:
     """Regions (r,) that enough lines of sight (r, n) to several targets pass, and not almost all."""
-    by_target = passing @ (sightings.target[:, None] == np.arange(len(sightings.points)))
     count = passing.sum(axis=1)
     enough = (count >= LEAST_PASSING) & (count <= MOST_PASSING * len(sightings))
-    distinctive: Bools = enough & (by_target.sum(axis=1) >= LEAST_TARGETS)
+    of_target = (sightings.target[:, None] == np.arange(len(sightings.points))).astype(np.float32)
+    by_target = passing[enough].astype(np.float32) @ of_target
+    enough[enough] = (by_target > 0.0).sum(axis=1) >= LEAST_TARGETS
+    distinctive: Bools = enough
     return distinctive

@@ -1,9 +1,9 @@
 """Sightings: the geometry of every pointing, computed once and handed to every effect."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -59,6 +59,11 @@ class Sightings:
     def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
         """The same pointings with stations and targets elsewhere."""
         return replace(self, position=position, rotation=rotation, points=points, encoder=None)
+
+    @cached_property
+    def derived(self) -> dict[Hashable, Any]:
+        """Quantities of this geometry that several callers compute, by a key of theirs."""
+        return {}
 
     @cached_property
     def station_ids(self) -> dict[str, list[int]]:

@@ -23,7 +23,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace, orthonormal
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
@@ -144,7 +144,8 @@ def examine(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectabili
             norm = np.linalg.norm(whole, axis=0)
             scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal(scaled, np.ones(len(norm)))
-            signatures.append((effect, *visible_information(scaled.T @ scaled, norm, VISIBLE), basis))
+            information, share, rank = visible_information(scaled.T @ scaled, norm, VISIBLE)
+            signatures.append((effect, information, float(share), int(rank), basis))
     return effect_detectability(signatures, len(places)) if signatures else None
 
 
@@ -162,16 +163,15 @@ def effect_detectability(
     return EffectDetectability(effects[0].name, laws, names, sizes, visible, columns)
 
 
-def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, float, int]:
-    """Information (q, q), visible share and rank from the Gram matrix of what is left of unit columns.
+def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, Floats, Ints]:
+    """Information (..., q, q), visible share (...) and rank (...) from Gram matrices of projected unit columns.
 
-    `norm` (q,) are the lengths of the columns, `visible` the share of a squared length that is rounding.
+    `norm` (..., q) are the lengths of the columns, `visible` the share of a squared length that is rounding.
     """
-    share = np.diag(gram)
-    information = gram * np.outer(norm, norm)
-    hidden = share < visible
-    information[hidden] = information[:, hidden] = 0.0
-    return information, float(np.mean(share)), int(np.sum(np.linalg.eigvalsh(gram) > visible))
+    share = np.einsum("...ii->...i", gram)
+    shown = np.where(share < visible, 0.0, norm)
+    rank = np.sum(np.linalg.eigvalsh(gram) > visible, axis=-1)
+    return gram * shown[..., :, None] * shown[..., None, :], np.mean(share, axis=-1), rank
 
 
 def _smallest(information: Floats, needed: float) -> Floats:
