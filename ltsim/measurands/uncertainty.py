@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 from scipy import special
 
 from ltsim.core.arrays import Floats
@@ -111,7 +112,7 @@ class TaskResult(Entry):
     """Distribution by Monte Carlo."""
     curvature: float
     """Gap between the exact adjustment and its linear form, in standard uncertainties."""
-    budget: tuple[BudgetPart, ...]
+    budget: tuple[BudgetPart, ...] = Field(min_length=1)
     """Sources, the largest first."""
     conformity: Conformity | None = None
     """Against its tolerance."""
@@ -157,7 +158,7 @@ class Uncertainty(ResultFile, Result):
     """Reference frame of all coordinates."""
     sigma0: OptionalFloat
     """Root of chi-square over degrees of freedom of the adjustment that the points come from; null without one."""
-    results: tuple[TaskResult, ...]
+    results: tuple[TaskResult, ...] = Field(min_length=1)
     """Results, one per number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation of the results, in their order."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from pydantic import Field
 
-from ltsim.calibration.schema import Combination
+from ltsim.calibration.combinations import Combination
 from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning.objective import TARGETS
 from ltsim.planning.plan_change import in_degrees, in_millimetres
