@@ -32,6 +32,7 @@ from ltsim.campaigns.store import Store, literal
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.results import Columns, Table, by_row
+from ltsim.recordings.files import shown
 
 NORMAL_95 = 1.959963984540054
 CONNECTION: dict[str, Any] = {
@@ -363,5 +364,5 @@ def _number(value: float | None) -> float:
 
 
 def _damaged(folder: Path, problem: Exception) -> SetupError:
-    reason = str(problem).split("\n")[0]
+    reason = shown(str(problem).split("\n")[0], 200)
     return SetupError(f"{folder}: a shard cannot be read ({reason}); run the campaign with --resume to repair it")

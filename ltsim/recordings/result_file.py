@@ -59,7 +59,7 @@ NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 SMALLEST = 1.0 / LARGEST
 """Smallest magnitude of a number that must not be zero: the square of its reciprocal is finite."""
-Positive = Annotated[Finite, Field(ge=SMALLEST)]
+Positive = Annotated[Finite, Field(gt=0), AfterValidator(_not_zero)]
 NonZero = Annotated[Finite, AfterValidator(_not_zero)]
 Vector = tuple[Finite, Finite, Finite]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_not_zero)]
