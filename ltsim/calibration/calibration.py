@@ -14,15 +14,14 @@ from ltsim.adjustment.evaluation.criteria import Criteria
 from ltsim.adjustment.identification.tests import Test
 from ltsim.adjustment.prior import FREED
 from ltsim.adjustment.verdict import Verdict
+from ltsim.calibration.combinations import Combination as Combination, DeterminedEntry
 from ltsim.calibration.evidence import by_plausible_sizes, determined, harmonics
 from ltsim.calibration.schema import (
     COORDINATES,
     RESIDUALS,
     TARGETS,
     AxesEntry,
-    Combination as Combination,
     Correction as Correction,
-    DeterminedEntry,
     Fit as Fit,
     FittedEffectEntry,
     HarmonicEntry,

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import linalg
 
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
-from ltsim.calibration.schema import DeterminedEntry, HarmonicEntry
+from ltsim.calibration.combinations import DeterminedEntry
+from ltsim.calibration.schema import HarmonicEntry
 from ltsim.core import probability
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE

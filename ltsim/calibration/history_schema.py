@@ -112,7 +112,7 @@ class HistoryFile(ResultFile):
     """Format and version of this file."""
     construction: str = ""
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
-    calibrations: tuple[CalibrationOf, ...]
+    calibrations: tuple[CalibrationOf, ...] = Field(min_length=1)
     """Calibrations in the order of time."""
     parameters: tuple[CourseEntry, ...] = ()
     """Each over the calibrations."""

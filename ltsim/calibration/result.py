@@ -12,7 +12,8 @@ from ltsim.adjustment.reference_tests import UNITS
 from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.calibration.calibration import SHOWN_UNITS
-from ltsim.calibration.schema import AxesEntry, Combination, Fit, NoiseRow, OutlierRow, ReferenceValueEntry, StationPose
+from ltsim.calibration.combinations import Combination
+from ltsim.calibration.schema import AxesEntry, Fit, NoiseRow, OutlierRow, ReferenceValueEntry, StationPose
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma

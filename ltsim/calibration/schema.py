@@ -9,12 +9,23 @@ from scipy import special
 
 from ltsim.adjustment.evaluation.criteria import CriterionEntry
 from ltsim.adjustment.identification.tests import Test
+from ltsim.calibration.combinations import Combination, DeterminedEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number, with_sigma
 from ltsim.core.probability import format_p
 from ltsim.core.results import Table, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, Positive, ResultFile, Sigma, Vector
+from ltsim.recordings.result_file import (
+    Entry,
+    Finite,
+    NotNegative,
+    OptionalFloat,
+    Positive,
+    Quaternion,
+    ResultFile,
+    Sigma,
+    Vector,
+)
 
 COORDINATES = (
     *texts(target="name"),
@@ -100,40 +111,6 @@ class HarmonicEntry(Entry):
     """Name of the instrument, where there are several."""
 
 
-class Terms(Entry):
-    """A combination of parameters."""
-
-    combination: dict[str, Finite]
-    """Coefficient of each parameter."""
-
-    @property
-    def terms(self) -> str:
-        """The combination in a line."""
-        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
-
-
-class Combination(Terms):
-    """A combination of parameters, in prior sigmas, that is not determined."""
-
-    gain: OptionalFloat = None
-    """Share of the prior variance that the readings removed."""
-    cure: str = ""
-    """The measurement that would determine it."""
-
-
-class DeterminedEntry(Terms):
-    """A combination of parameters that the recording determines far better than each of them."""
-
-    value: Finite
-    """Size of the effect's parameter."""
-    sigma: OptionalFloat = None
-    """Standard deviation of the size."""
-    unit: str = ""
-    """Unit of value and standard deviation."""
-    instrument: str = ""
-    """Name of the instrument, where there are several."""
-
-
 class StationPose(Entry):
     """Pose of a station: mm, quaternion x y z w from instrument to network."""
 
@@ -141,7 +118,7 @@ class StationPose(Entry):
     """Name of the station."""
     position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat]
     """Position in the frame that the file names; without height if adjusted in plan only."""
-    rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    rotation_quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     """Rotation from instrument to network."""
     sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
     """Standard deviation of each coordinate [mm]."""

@@ -29,6 +29,7 @@ from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error
 from ltsim.core.parallel import parallel
+from ltsim.recordings.files import shown
 from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
@@ -192,8 +193,9 @@ def _check_same(store: Store) -> list[str]:
     then, today = manifest.versions, _versions()
     for name in DECIDING:
         if then.get(name) != today[name]:
+            before = shown(str(then.get(name)))
             raise SetupError(
-                f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
+                f"{store.folder}: begun with {name} {before}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or begin anew with another --out"
             )
     notes = []

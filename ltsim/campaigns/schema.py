@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, model_validator
 
 from ltsim.campaigns.design import Factor
 from ltsim.core.results import Column, Table, numbers, texts
@@ -176,6 +176,9 @@ class ScenarioSettings(Entry):
     """Trackers by name."""
 
 
+Level = StrictBool | StrictInt | StrictFloat | StrictStr | None
+
+
 class CellEntry(Entry):
     """Cell of the grid."""
 
@@ -183,7 +186,7 @@ class CellEntry(Entry):
     """Number of the cell."""
     label: str
     """Description of the cell in a line: the level of each factor."""
-    levels: dict[str, Any] = Field(default_factory=dict)
+    levels: dict[str, Level] = Field(default_factory=dict)
     """Value of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Values that the cell changes in the scenario, by dotted key."""
@@ -221,3 +224,18 @@ class ManifestFile(ResultFile):
     """The campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell."""
+
+    @model_validator(mode="after")
+    def _belong_together(self) -> Self:
+        names = [factor.name for factor in self.factors]
+        if len(set(names)) < len(names) or len(set(self.methods)) < len(self.methods):
+            raise ValueError("two of the factors or methods have one name")
+        if not all(factor.keys for factor in self.factors):
+            raise ValueError("a factor has no key of the scenario")
+        for number, cell in enumerate(self.cells):
+            if cell.cell != number or {*cell.levels} != {*names}:
+                raise ValueError(f"entry {number + 1} of the cells is not cell {number} with a level of each factor")
+        statistics = self.settings.get("statistics", [])
+        if not (isinstance(statistics, list) and all(name in get_args(Statistic) for name in statistics)):
+            raise ValueError("the statistics in the settings are not a list of names of statistics")
+        return self

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from ltsim.campaigns.schema import (
     FULL,
     LEVELS,
     SHARES,
+    ManifestFile,
     column_of,
     errors_of,
     identifier,
@@ -30,6 +32,7 @@ from ltsim.campaigns.store import Store, literal
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.results import Columns, Table, by_row
+from ltsim.recordings.files import shown
 
 NORMAL_95 = 1.959963984540054
 CONNECTION: dict[str, Any] = {
@@ -137,10 +140,12 @@ class Statistics:
         source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
         try:
             store.verify(shards, {cell.cell: cell.mark for cell in self.manifest.cells})
-            names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
-            self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
-            self._hold_cells()
-            held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
+            with _interruptible():
+                names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+                self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
+                self._check_cells()
+                self._hold_cells()
+                held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
             self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(errors_of(name)) <= {*held}))
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
@@ -152,6 +157,12 @@ class Statistics:
         cells = self.manifest.cells
         plain: dict[str, list[Any]] = {"cell": [c.cell for c in cells], "label": [c.label for c in cells]}
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
+
+    def _check_cells(self) -> None:
+        """Raise ValueError where rows are of a cell or a method that the manifest does not have."""
+        for cell, method in self._base.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
+            if cell not in range(len(self.levels)) or method not in self.manifest.methods:
+                raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
 
     def _hold_cells(self) -> None:
         """Table `cells`, in the types that the rows have; not through Arrow, which imports pandas for any list."""
@@ -187,9 +198,10 @@ class Statistics:
         return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
     def _rows(self) -> Columns:
-        rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
-        names = [column[0] for column in rows.description]
-        return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
+        with _interruptible():
+            rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
+            names = [column[0] for column in rows.description]
+            return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def _with_settings(self, entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
         return [{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries]
@@ -205,7 +217,8 @@ class Statistics:
             When a shard is damaged.
         """
         try:
-            return self._base.execute(sql).fetchall()
+            with _interruptible():
+                return self._base.execute(sql).fetchall()
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
             raise _damaged(self.folder, problem) from None
         except duckdb.Error as problem:
@@ -309,6 +322,17 @@ class Statistics:
         }
 
 
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Context in which an interruption of a query is a KeyboardInterrupt; DuckDB replaces it by a RuntimeError."""
+    try:
+        yield
+    except RuntimeError as problem:
+        if str(problem) != "Query interrupted":
+            raise
+        raise KeyboardInterrupt from None
+
+
 def _without_nan(value: Any) -> Any:
     """The same with None for what is not known, as JSON has it."""
     if isinstance(value, dict):
@@ -340,5 +364,5 @@ def _number(value: float | None) -> float:
 
 
 def _damaged(folder: Path, problem: Exception) -> SetupError:
-    reason = str(problem).split("\n")[0]
+    reason = shown(str(problem).split("\n")[0], 200)
     return SetupError(f"{folder}: a shard cannot be read ({reason}); run the campaign with --resume to repair it")

@@ -149,7 +149,8 @@ class Store:
         return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
     def clear(self) -> None:
-        """Remove manifest, rows and what was made of them."""
+        """Remove manifest, rows and what was made of them; raises RecordError for rows in another folder."""
+        place_in(self.folder, ROWS)
         with self._writing():
             for name in (MANIFEST, DIGESTS, SUMMARY):
                 (self.folder / name).unlink(missing_ok=True)
@@ -179,6 +180,7 @@ class Store:
         """Rename a damaged shard, so that it can be looked at; where it went."""
         path = self.shard_path(cell, shard)
         aside = path.with_suffix(".damaged")
+        place_in(self.folder, aside.relative_to(self.folder).as_posix())
         with self._writing():
             os.replace(path, aside)
         return aside
@@ -187,7 +189,7 @@ class Store:
         """Remove what a killed run left unfinished: temporary files, a line of the digests that was cut."""
         with self._writing():
             for folder in (self.folder, *self.folder.glob(f"{ROWS}/cell-*")):
-                settle(folder)
+                settle(place_in(self.folder, folder.relative_to(self.folder).as_posix()))
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
             file = self.folder / DIGESTS
             if file.exists() and file.read_bytes() != lines:

@@ -87,6 +87,8 @@ class ConvergenceError(LtsimError):
         super().__init__(message)
 
 
+LONGEST_NAME = 60
+"""Characters of a name in a message."""
 _SPELLED = {"flags": False}
 SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
 """Flags of the options whose name differs on the command line."""
@@ -136,5 +138,6 @@ def printable(text: str) -> str:
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ModelError:
     """ModelError for a name that does not exist, with the closest valid ones."""
     choices = sorted(valid)
-    close = difflib.get_close_matches(name, choices, n=3, cutoff=0.4) or choices
-    return ModelError(f"there is no {kind} called '{name}'; did you mean {', '.join(close)}?")
+    short = printable(name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}...")
+    close = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
+    return ModelError(f"there is no {kind} called '{short}'; did you mean {', '.join(close)}?")

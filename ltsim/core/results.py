@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMULA = ("=", "+", "-", "@", "'")
-LARGEST = 1e100
-"""Largest magnitude of a number in a result file; squares of larger numbers may overflow."""
+LARGEST = 1e40
+"""Largest magnitude of a number in a result file: products of four variances, of eight such numbers, may overflow."""
 MOST_SHOWN = 12
 """Rows of a table that a notebook shows."""
 Kind = Literal["text", "number", "flag", "chance"]
@@ -111,7 +111,7 @@ class Column:
             return p_text(value)
         if self.sigma:
             return with_sigma(float(value), precision)
-        if self.like and precision:
+        if self.like and precision and 0 < precision < math.inf:
             return f"{value:.{decimals(precision)}f}"
         if self.shown:
             return format(value, self.shown)

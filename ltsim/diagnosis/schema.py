@@ -6,7 +6,8 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field
 
 from ltsim.adjustment.identification.tests import Test
-from ltsim.calibration.schema import COORDINATES, RESIDUALS, DeterminedEntry
+from ltsim.calibration.combinations import DeterminedEntry
+from ltsim.calibration.schema import COORDINATES, RESIDUALS
 from ltsim.core.results import Table, numbers
 from ltsim.core.units import FACTOR
 from ltsim.physics.effects.signature import Parameter, ShapeParameter

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import scipy.linalg
+from pydantic import Field
 from scipy import special
 
 from ltsim.adjustment.reliability import noncentrality
@@ -97,7 +98,7 @@ class Comparison(ResultFile, Result):
     """Scale of the second epoch [ppm]; null where it was not estimated."""
     notes: tuple[str, ...] = ()
     """Assumptions about the epochs: motions that they leave undetermined, names that are exchanged."""
-    displacements: tuple[Displacement, ...]
+    displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacements, one per common point, in the order of the first recording."""
 
     __repr__ = __str__ = Result.__repr__

@@ -1,9 +1,10 @@
 """The result of `uncertainty`, declared once: Python object, uncertainty.json, its tables, terminal and page."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 from scipy import special
 
 from ltsim.core.arrays import Floats
@@ -35,6 +36,7 @@ BUDGET = Table(
         *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
     ),
 )
+Size = Annotated[float, Field(ge=0)]
 MOST_REPORTED = 8
 """Number of results in the summary lines."""
 
@@ -44,7 +46,7 @@ class Distribution(Entry):
 
     mean: float
     """Mean of the draws."""
-    standard_uncertainty: float
+    standard_uncertainty: Size
     """Standard deviation of the draws."""
     symmetric: tuple[float, float]
     """Probabilistically symmetric interval."""
@@ -65,7 +67,7 @@ class BudgetPart(Entry):
     """Type of the evaluation by the GUM: A by statistics, B by other means."""
     share: float
     """Share of the variance of the result, 0 to 1."""
-    standard_uncertainty: float
+    standard_uncertainty: Size
     """Standard uncertainty in the result's unit."""
 
 
@@ -101,17 +103,17 @@ class TaskResult(Entry):
     """Unit of all figures."""
     value: float
     """The estimate."""
-    standard_uncertainty: float
+    standard_uncertainty: Size
     """Standard uncertainty by the GUM's law of propagation."""
     coverage_factor: float
     """Coverage factor of the expanded uncertainty."""
-    expanded_uncertainty: float
+    expanded_uncertainty: Size
     """Expanded uncertainty for the coverage."""
     monte_carlo: Distribution
     """Distribution by Monte Carlo."""
     curvature: float
     """Gap between the exact adjustment and its linear form, in standard uncertainties."""
-    budget: tuple[BudgetPart, ...]
+    budget: tuple[BudgetPart, ...] = Field(min_length=1)
     """Sources, the largest first."""
     conformity: Conformity | None = None
     """Against its tolerance."""
@@ -157,7 +159,7 @@ class Uncertainty(ResultFile, Result):
     """Reference frame of all coordinates."""
     sigma0: OptionalFloat
     """Root of chi-square over degrees of freedom of the adjustment that the points come from; null without one."""
-    results: tuple[TaskResult, ...]
+    results: tuple[TaskResult, ...] = Field(min_length=1)
     """Results, one per number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation of the results, in their order."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from pydantic import Field
 
-from ltsim.calibration.schema import Combination
+from ltsim.calibration.combinations import Combination
 from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning.objective import TARGETS
 from ltsim.planning.plan_change import in_degrees, in_millimetres
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ltsim.planning.survey import Survey
 
 Qualities = dict[str, OptionalFloat]
+Sizes = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
+"""Sizes along x, y and z, or none."""
 
 
 class StationEntry(Entry):
@@ -32,7 +34,7 @@ class StationEntry(Entry):
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
-    sigma_position_um: tuple[OptionalFloat, ...] = ()
+    sigma_position_um: Sizes = ()
     """Expected standard deviation of x, y and z."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
@@ -71,7 +73,7 @@ class ReflectorEntry(Entry):
     """Centre of the reflector, in the workshop's frame."""
     sigma_um: OptionalFloat
     """Expected standard deviation of the point: square root of the trace of its covariance."""
-    u_um: tuple[OptionalFloat, ...] = Field(default=(), alias="U_um")
+    u_um: Sizes = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""

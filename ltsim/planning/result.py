@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
-from pydantic import Field, PrivateAttr
+from pydantic import PrivateAttr
 
 from ltsim.adjustment.remedies.detectability import detectability
 from ltsim.core.errors import ModelError
@@ -64,7 +64,7 @@ class Plan(ResultFile, LayoutEntry, Result):
     """All points keep their tolerances while nothing is lost; null without any."""
     losses: tuple[LossEntry, ...] = ()
     """Tolerances after the loss of each station, and of each sight of a point with a tolerance."""
-    settings: dict[str, Any] = Field(default_factory=dict)
+    settings: PlanFile = PlanFile()
     """Content of the plan file."""
     seed: int | None = None
     """Root of the search."""
@@ -101,7 +101,7 @@ class Plan(ResultFile, LayoutEntry, Result):
             reached=None if judged is None else judged.reached,
             tolerances_met=None if network.check is None else network.check.good,
             losses=tuple(LossEntry.of(loss) for loss in network.losses),
-            settings=network.file.model_dump(mode="json"),
+            settings=PlanFile.model_validate(network.file.model_dump(mode="json")),  # all of it goes to the file
             seed=network.file.search.seed,
             detectable=tuple(DetectableSize.of(row) for row in report.table()),
             confusable=tuple(ConfusablePair.of(pair) for pair in report.confusable()),
@@ -200,5 +200,4 @@ def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
         return load_plan(folder / PLAN)
     if not folder.is_dir():
         return load_plan(source)
-    file = PlanFile.model_validate(read_result(folder, Plan).settings)
-    return file, load_scenario(folder / SCENARIO)
+    return read_result(folder, Plan).settings, load_scenario(folder / SCENARIO)

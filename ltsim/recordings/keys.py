@@ -17,6 +17,12 @@ def _nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     return vector
 
 
+def _not_tiny(value: float) -> float:
+    if value < LEAST_POSITIVE:
+        raise ValueError(f"it should be at least {LEAST_POSITIVE:g}")
+    return value
+
+
 def _single_line(text: str) -> str:
     if not text.isprintable():
         raise ValueError("it should be one line of printable text")
@@ -55,7 +61,9 @@ SHORT = 1e-6
 """Length below which a vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+LEAST_POSITIVE = 1e-9
+"""Smallest number that must not be zero, in the unit of its key: results are divided by it and by its square."""
+Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_not_tiny)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]

@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -44,13 +45,25 @@ def finite_or_none(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def _not_zero(value: Any) -> Any:
+    """A number or tuple of numbers; ValueError where none of them is `SMALLEST` in size."""
+    if not np.max(np.abs(value)) >= SMALLEST:
+        raise ValueError("Input should not be zero")
+    return value
+
+
 Finite = FiniteFloat
 OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
 """A number, or null where there is none: JSON has neither NaN nor infinities."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
-Positive = Annotated[Finite, Field(gt=0)]
+SMALLEST = 1.0 / LARGEST
+"""Smallest magnitude of a number that must not be zero: the square of its reciprocal is finite."""
+Positive = Annotated[Finite, Field(gt=0), AfterValidator(_not_zero)]
+NonZero = Annotated[Finite, AfterValidator(_not_zero)]
 Vector = tuple[Finite, Finite, Finite]
+Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_not_zero)]
+"""Rotation x, y, z, w of any length but 0."""
 
 
 def _fail_fast(schema: Any) -> None:

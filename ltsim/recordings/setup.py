@@ -55,13 +55,13 @@ class Noise(TomlSection):
 class Prior(TomlSection):
     """Prior standard deviations (one sigma) of the instrument's parameters, as the maker guarantees them."""
 
-    range_scale_ppm: Positive = 2.0
+    range_scale_ppm: Sigma = 2.0
     """Standard deviation of the scale of the ranges: laser frequency and air."""
-    range_offset_mm: Positive = 0.010
+    range_offset_mm: Sigma = 0.010
     """Standard deviation of the zero of the ranges."""
-    angle_arcsec: Positive = 3.0
+    angle_arcsec: Sigma = 3.0
     """Standard deviation of every angular misalignment and every encoder term."""
-    offset_mm: Positive = 0.020
+    offset_mm: Sigma = 0.020
     """Standard deviation of every offset of an axis or the beam."""
     parameters: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviations of single parameters by name, each in the parameter's unit, in place of the kinds above."""
@@ -136,7 +136,7 @@ class GaugeDistance(LengthUse):
     """Target at the other end."""
     length_mm: Positive
     """Length at `calibrated_at_c`, or as it was measured in place."""
-    sigma_mm: Positive
+    sigma_mm: Sigma
     """Standard deviation of the length."""
 
 

@@ -11,6 +11,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.physics.effects.verbs import Sized, effect_from, shape_of
 from ltsim.recordings.setup import (
+    LEAST_SIGMA,
     Finite,
     LengthUse,
     Limits,
@@ -24,6 +25,8 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.specification import sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+LengthSigma = Annotated[float, Field(ge=1e3 * LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
+"""[um] Standard deviation of a length, no smaller than that of a set-up."""
 Fraction = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 
@@ -301,7 +304,7 @@ class ScenarioGauge(TomlSection):
     """Standard deviation of the coefficient: the true one is drawn."""
     sigma_temperature_k: NonNegative | None = None
     """Standard deviation of the declared temperature: the true one is drawn."""
-    sigma_um: Positive | None = None
+    sigma_um: LengthSigma | None = None
     """Standard deviation of each length; by the measuring machine's where it is not given."""
 
 
@@ -312,7 +315,7 @@ class Length(LengthUse):
     """Reflector at one end."""
     to: str
     """Reflector at the other end."""
-    sigma_um: Positive
+    sigma_um: LengthSigma
     """Standard deviation of the declared length."""
 
 

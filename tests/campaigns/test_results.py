@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.campaigns.statistics import Statistics
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.notation import number
 from ltsim.reports.document import Grid
@@ -181,6 +183,49 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
     meanings = listed.text.splitlines()
     assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
     assert all(line.partition("]: ")[2] for line in meanings)
+
+
+def test_an_interruption_of_a_query_is_an_interruption(sweep: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    long = "SELECT count(*) FROM range(1000000) a, range(1000000) b WHERE a.range * b.range % 7 = 3"
+    before = signal.signal(signal.SIGVTALRM, interrupt)
+    monkeypatch.setattr(Statistics, "_lines", lambda self: [str(self.query(long))])
+    for work in (lambda: sweep.query(long), lambda: str(sweep)):
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.1)
+        try:
+            with pytest.raises(KeyboardInterrupt):
+                work()
+        finally:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+    signal.signal(signal.SIGVTALRM, before)
+
+
+def altered(sweep: Any, folder: Path, **changes: Any) -> Path:
+    """A copy of a campaign with another manifest."""
+    shutil.copytree(sweep.folder, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps(manifest | changes))
+    return folder
+
+
+def test_a_manifest_that_does_not_belong_to_its_rows_is_refused(sweep: Any, tmp_path: Path) -> None:
+    manifest = json.loads((sweep.folder / "manifest.json").read_text())
+    cells, factors = manifest["cells"], manifest["factors"]
+    wrong: dict[str, Any] = {
+        "is not cell 0 with a level": {"cells": [cells[0] | {"levels": {}}, *cells[1:]]},
+        "is not cell 1 with a level": {"cells": [cells[0], *cells[2:]]},
+        "cells.0.levels.faces": {"cells": [cells[0] | {"levels": cells[0]["levels"] | {"faces": {}}}, *cells[1:]]},
+        "cell 3 by": {"cells": cells[:-1]},
+        "by distance is not in": {"methods": ["network"]},
+        "one name": {"methods": ["network", "network"]},
+        "no key": {"factors": [factors[0] | {"keys": []}, *factors[1:]]},
+        "names of statistics": {"settings": {"statistics": 3}},
+    }
+    for k, (says, changes) in enumerate(wrong.items()):
+        with pytest.raises(SetupError, match=says):
+            lt.campaign(altered(sweep, tmp_path / str(k), **changes))
 
 
 def test_names_in_a_campaign_folder_are_no_sql(sweep: Any, tmp_path: Path) -> None:

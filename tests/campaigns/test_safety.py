@@ -156,6 +156,21 @@ def test_no_row_is_written_through_a_link_that_leaves_the_folder(name: str, file
     assert list(place.iterdir()) == [] if name == "rows" else place.read_text() == "mine"
 
 
+@pytest.mark.parametrize(("name", "option"), [("rows", "resume"), ("rows", "force"), ("rows/cell-0000", "resume")])
+def test_rows_that_lie_in_another_folder_stay_as_they_are(name: str, option: str, file: Path, tmp_path: Path) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    file.write_text(FILE.replace("trials = 600", "trials = 8"))
+    run_campaign(file, out)
+    (out / name).rename(elsewhere)
+    (out / name).symlink_to(elsewhere)
+    shard = next(elsewhere.rglob("shard-000000.parquet"))
+    shard.write_bytes(b"mine")
+    with pytest.raises(LtsimError, match="leads out of the folder"):
+        run_campaign(file, out, **{option: True})  # type: ignore[arg-type]
+    assert shard.read_bytes() == b"mine" and not list(elsewhere.rglob("*.damaged"))
+    assert (out / "manifest.json").exists()
+
+
 @pytest.mark.parametrize(
     ("place", "tracked", "own"),
     [("", True, True), ("vendor", True, False), (".venv/lib/site-packages", False, False), ("", False, False)],

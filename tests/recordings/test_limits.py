@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from ltsim.recordings import read
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import read_lines
 from ltsim.recordings.result_file import read_json
-from ltsim.recordings.settings import check_toml, read_toml
+from ltsim.recordings.settings import check_toml, read_setup, read_toml
 from ltsim.recordings.tables.sheets import table_rows
 from ltsim.recordings.xml import parse
 from tests.recordings.samples import workshop
@@ -113,6 +114,18 @@ def test_times_that_are_not_finite_are_refused_where_a_recording_is_built() -> N
     time[3] = np.nan
     with pytest.raises(ModelError, match="time of row 4 is nan, expected finite seconds"):
         recording.replace(time=time)
+
+
+@pytest.mark.parametrize(
+    "table",
+    ["[instrument.prior]\nangle_arcsec", '[[gauge.distance]]\nfrom = "A"\nto = "B"\nlength_mm = 1000\nsigma_mm'],
+)
+def test_sigmas_whose_weights_overflow_are_refused(table: str, tmp_path: Path) -> None:
+    file = tmp_path / "setup.toml"
+    for sigma, wrong in (("1e-320", True), ("1e-3", False)):
+        file.write_text(f'format = "ltsim-recording/1"\n{table} = {sigma}\n')
+        with pytest.raises(RecordError, match="greater than or equal to") if wrong else nullcontext():
+            read_setup(file)
 
 
 @pytest.mark.parametrize("mark", ["[", "(", " ", ";", "-", "1 ", "((", "_ "])

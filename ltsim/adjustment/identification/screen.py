@@ -205,8 +205,11 @@ def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, 
     """Offsets and scale errors of the distances at the places with most outliers, by a network without these distances.
 
     Distances that are wrong by far displace the target or the station itself, and its angles look as wrong as they.
+    Where that share of all pointings is gross no place stands out, and none is tried.
     """
     gross = np.asarray((fit.outliers & fit.is_gross).any(axis=1))
+    if gross.mean() > HALF:
+        return []
     tried = [c for c in every if c.family.acts_on == "distance" and np.isneginf(c.since)]
     share = {id(c): float(gross[c.rows].mean()) for c in tried}
     price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))

@@ -13,9 +13,9 @@ import json
 import secrets
 import socket
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from http import HTTPStatus
 from http.client import HTTP_PORT
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -36,7 +36,7 @@ MOST_BYTES = 1 << 20
 MOST_CONNECTIONS = 32
 """Largest number of simultaneous connections; a browser opens six."""
 PATIENCE = 10.0
-"""Timeout [s] of a silent connection, and of the body of a request."""
+"""Time [s] in which a request has to arrive, however slowly it is sent."""
 WAIT = 0.2
 """Time [s] between two checks for Ctrl-C."""
 HEADERS = {
@@ -137,6 +137,22 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = PATIENCE
     server_version, sys_version = "ltsim", ""
 
+    def setup(self) -> None:
+        """Prepare the connection, from which nothing is read after `PATIENCE`."""
+        super().setup()
+        self._deadline = threading.Timer(PATIENCE, self._stop_reading)
+        self._deadline.daemon = True
+        self._deadline.start()
+
+    def finish(self) -> None:
+        """Close the connection."""
+        self._deadline.cancel()
+        super().finish()
+
+    def _stop_reading(self) -> None:
+        with suppress(OSError):  # it is closed already
+            self.connection.shutdown(socket.SHUT_RD)
+
     def do_GET(self) -> None:
         """Send the page."""
         self._send(self._refused() or self._worked(b""))
@@ -165,14 +181,8 @@ class _Handler(BaseHTTPRequestHandler):
             return Answer(HTTPStatus.BAD_REQUEST)
         if len(lengths[0]) > len(str(MOST_BYTES)) or int(lengths[0]) > MOST_BYTES:
             return Answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-        remaining, parts, end = int(lengths[0]), [], time.monotonic() + PATIENCE
-        while remaining:
-            part = self.rfile.read1(remaining)
-            if not part or time.monotonic() > end:
-                return Answer(HTTPStatus.REQUEST_TIMEOUT)
-            parts.append(part)
-            remaining -= len(part)
-        return b"".join(parts)
+        body = self.rfile.read(int(lengths[0]))
+        return body if len(body) == int(lengths[0]) else Answer(HTTPStatus.REQUEST_TIMEOUT)
 
     def _worked(self, body: bytes) -> Answer:
         future: Future[Answer] = Future()

@@ -114,7 +114,8 @@ def swept(
         if any(here[name] != wanted for name, wanted in levels.items()):
             continue
         texts = {name: short(factor, here[name]) for name, factor in factors.items()} | {"method": s.method}
-        place = here[names[0]] if len(names) == 1 else ", ".join(texts[name] for name in names)
+        level = here[names[0]] if len(names) == 1 else None
+        place = ", ".join(texts[name] for name in names) if level is None else level
         line = s.method if s.column == statistic else FLOOR
         rows.append(
             SweepPoint(place, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])

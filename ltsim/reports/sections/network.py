@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.calibration.combinations import Combination, DeterminedEntry
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import Combination, DeterminedEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.core.notation import NONE, fixed, number

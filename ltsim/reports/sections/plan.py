@@ -1,6 +1,5 @@
 """Section of a plan: places of the tripods, quality, time, and undetectable effects."""
 
-import json
 from functools import partial
 
 import numpy as np
@@ -23,7 +22,6 @@ from ltsim.reports.document import (
 )
 from ltsim.reports.sections.network import scene, undetermined
 from ltsim.reports.words import QUALITY, duration, of_presets
-from ltsim.scene.floor import Floor
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
@@ -55,7 +53,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(Notes("Bodies in the hall", content.bodies))
-    blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
+    blocks.append(Listing("Settings of the plan", content.settings.model_dump_json(indent=1)))
     good = mood(not content.broken_rules and content.reached is not False)
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
@@ -70,7 +68,7 @@ def _tolerances(content: Plan) -> list[Block]:
     asked = content.table("tolerances")
     if not asked.rows:
         return []
-    level = content.settings.get("goal", {}).get("level_pct", 95)
+    level = content.settings.goal.level_pct
     over = frozenset(i for i, is_met in enumerate(asked.column("met")) if not is_met)
     blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
     return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
@@ -115,7 +113,7 @@ def _pictures(content: Plan, scenario: Scenario | None, *, turn: bool) -> tuple[
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
-    ground = Floor.model_validate(content.settings.get("floor", {}))
+    ground = content.settings.floor
     floor = figures.floor_plan
     drawn: list[Block] = [
         Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.identification import Network, Selection, outcomes, select
 from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
-from ltsim.adjustment.identification.fit import changed_recording
+from ltsim.adjustment.identification.fit import Fit, changed_recording
+from ltsim.adjustment.identification.library import candidates
+from ltsim.adjustment.identification.screen import _distances_aside
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import robust_state
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rotations import about_z
@@ -168,6 +171,23 @@ def test_noise_other_than_declared(factor: float) -> None:
     (test,) = [t for t in outcomes(selection) if t.kind == "noise-level"]
     assert test.estimate == pytest.approx(factor, rel=0.1)
     assert not selection.leads
+
+
+def test_distances_are_put_aside_at_places_that_stand_out_alone() -> None:
+    recording, _ = hall()
+    fit = Fit.of(Network(recording, misalignment()))
+    assert fit is not None
+    every = candidates(fit.adjustment.sightings)
+    for gross, stations in ((recording.station == 1, {1}), (recording.station < 3, set[int]())):
+        tried: list[Ints] = []
+        marked = SimpleNamespace(
+            outliers=np.repeat(gross[:, None], 3, axis=1),
+            is_gross=np.ones((len(recording), 3), dtype=bool),
+            whole=fit.whole,
+            without_distances=tried.append,
+        )
+        assert _distances_aside(marked, every) == []  # type: ignore[arg-type]
+        assert {int(s) for rows in tried for s in recording.station[rows]} == stations
 
 
 def test_two_causes_at_once() -> None:

@@ -213,6 +213,16 @@ def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
     head = f"POST /{board.token}/judged HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nContent-Length: 10\r\n\r\n{{"
     assert board.sent(head.encode(), half=True).split(b"\r\n")[0][-3:] != b"200"
     assert board.sent(b"POST", half=True) == b""
+    with socket.create_connection(("127.0.0.1", board.port)) as drip:  # a byte at a time, before the end of a header
+        drip.settimeout(0.1)
+        drip.sendall(b"POST / HTTP/1.1\r\nX: ")
+        for _ in range(600):
+            with contextlib.suppress(TimeoutError, ConnectionError):
+                drip.sendall(b"y")
+                assert b" 200 " not in drip.recv(1 << 16)
+                break
+        else:
+            raise AssertionError("the board waits for a slow header for ever")
     silent = [socket.create_connection(("127.0.0.1", board.port)) for _ in range(2 * MOST_CONNECTIONS)]
     for connection in silent:  # closed by the board: at once beyond those that it serves, the others after a while
         connection.settimeout(30)

@@ -1,0 +1,172 @@
+"""Result files with altered values: a section, or one sentence that says what is wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ltsim.core.errors import LtsimError
+from ltsim.recordings.result_file import read_result
+from ltsim.reports.schemas import FILES
+from ltsim.reports.sections import WRITERS, content_of, section_of
+from tests.reports import samples
+
+VALUES = (0, -1, 1e30, 1e-320, float("nan"), "x" * 3000, "", [], {}, None, True)
+FIT = {"chi2": 310.0, "dof": 300, "sigma0": 1.02, "p_value": 0.3, "status": "converged"}
+CHANGE = {
+    "from": "may", "to": "june", "chi2": 9.0, "dof": 2, "p_value": 0.01, "changed": ["beam-tilt"],
+    "parameters": [{"name": "beam-tilt", "difference": 3.0, "sigma": 1.0, "unit": "urad", "p_value": 0.003}],
+}  # fmt: skip
+COMBINED = {"combination": {"vertical-index": 1.0, "transit-tilt": -0.4}, "value": 2.0, "sigma": 0.1, "unit": "urad"}
+CONTENTS: dict[str, dict[str, Any]] = {
+    "diagnosis.json": samples.DIAGNOSIS
+    | {
+        "instruments": [
+            {
+                "name": "T", "determined": [COMBINED],
+                "parameters": [{"name": "beam-tilt", "value": 9.0, "sigma": 0.5, "unit": "urad"}],
+            },
+        ],
+        "detectable": [{"effect": "air-gradient", "parameter": "gradient", "size": 3.0, "unit": "ppm"}],
+    },
+    "calibration.json": {
+        "format": "ltsim-calibration/1", "construction": "misalignment", "fit": FIT, "covariance": [[1.0]],
+        "parameters": [{"name": "beam-tilt", "value": 9.0, "sigma": 1.0, "unit": "urad", "prior_sigma": 9.7}],
+        "determined": [COMBINED],
+        "undetermined": [{"combination": {"beam-tilt": 1.0}, "gain": 0.1, "cure": "two faces"}],
+        "stations": [{"name": "S1", "position_mm": [1.0, 2.0, 3.0], "rotation_quaternion": [0, 0, 0, 1]}],
+        "correction": {
+            "prior_scale": 1.0, "plausible_scale": [0.5, 2.0], "uncorrected_um": 30.0, "corrected_um": 6.0,
+            "noise_um": 9.0,
+        },
+        "effects": [{"effect": "air-gradient", "chi2_drop": 9.0, "freedom": 1, "tried": 3,
+                     "parameters": [{"name": "gradient", "value": 3.0, "sigma": 1.0, "unit": "ppm"}]}],
+    },
+    "history.json": {
+        "format": "ltsim-history/1", "construction": "misalignment",
+        "calibrations": [{"label": "may", "fit": FIT}, {"label": "june", "fit": FIT}],
+        "parameters": [{"name": "beam-tilt", "unit": "urad", "values": [1.0, 4.0], "sigmas": [0.7, 0.7], "mean": 2.5,
+                        "spread": 1.0, "constant": {"chi2": 9.0, "dof": 1, "p_value": 0.003}}],
+        "changes": [CHANGE], "since_first": CHANGE,
+        "events": [{"from": "may", "to": "june", "name": "beam-tilt", "difference": 3.0, "sigma": 1.0, "usual": 0.4,
+                    "unit": "urad", "p_value": 0.003}],
+    },
+    "comparison.json": {
+        "format": "ltsim-comparison/1", "second": {"pointings": 9, "digest": "d"}, "sentence": "T1 moved",
+        "level": 0.05, "statistic": 30.0,
+        "dof": 3, "p_value": 1e-5, "p_value_after": 0.4, "scale_ppm": 0.3, "notes": ["a note"],
+        "displacements": [{
+            "target": "T1", "moved": True, "place_mm": [1.0, 2.0, 3.0], "shift_um": [90.0, 1.0, 1.0],
+            "sigma_um": [9.0, 9.0, 9.0], "covariance_um2": [[81.0, 0, 0], [0, 81.0, 0], [0, 0, 81.0]],
+            "semi_axes_um": [25.0, 25.0, 25.0], "p_value": 1e-5, "visible_um": [30.0, 40.0],
+        }],
+    },
+    "uncertainty.json": {
+        "format": "ltsim-uncertainty/1", "title": "", "source": "rec", "coverage": 0.95, "trials": 10000, "frame": "",
+        "sigma0": 1.0, "correlation": [[1.0]], "warnings": ["a warning"],
+        "results": [{
+            "task": "length", "kind": "distance", "name": "distance", "unit": "mm", "value": 7934.1,
+            "standard_uncertainty": 0.01, "coverage_factor": 2.0, "expanded_uncertainty": 0.02, "curvature": 0.0,
+            "monte_carlo": {"mean": 7934.1, "standard_uncertainty": 0.01, "symmetric": [7934.08, 7934.12],
+                            "shortest": [7934.08, 7934.12], "stable": True, "agrees": True},
+            "budget": [{"source": "noise", "type": "A", "share": 1.0, "standard_uncertainty": 0.01}],
+            "conformity": {"lower": 7934.0, "upper": None, "rule": "guarded", "guard_band": 0.02, "probability": 1.0,
+                           "judgement": "accepted", "wrong": 0.0},
+        }],
+    },
+    "check.json": {
+        "format": "ltsim-check/1", "passed": False, "sentence": "no-go", "level": 0.01, "tests": [],
+        "items": [{"station": "S1", "kind": "bump", "passed": False, "sentence": "it moved", "p_value": 0.001,
+                   "targets": ["T1"]}],
+    },
+    "accept.json": {
+        "format": "ltsim-accept/1", "kind": "predicted", "plan": "asme-b89.4.19-2006", "passes": 0.9,
+        "sentence": "fine",
+        "specification": {"name": "a tracker", "transverse_um": 15, "transverse_um_per_m": 6, "range_um": 10,
+                          "range_um_per_m": 1},
+        "groups": [{"name": "length", "tests": 1, "passes": 0.9, "largest_share": 0.8}],
+        "tests": [{"name": "a", "group": "length", "limit_um": 30.0, "error_um": 9.0, "expanded_um": 4.0,
+                   "passes": 0.9}],
+        "sensitivities": [{"name": "beam-tilt", "unit": "urad", "prior_sigma": 9.7, "smallest_failing": 30.0,
+                           "test": "a"}],
+        "worst_passing": {"constants": {"beam-tilt": 30.0}, "rms_um": 40.0, "largest_um": 90.0},
+    },
+    "next.json": {
+        "format": "ltsim-next/1", "between": ["vertical-index", "transit-tilt"], "advice": "measure",
+        "evidence_now": {"transit-tilt": 1.0},
+        "proposals": [{"do": "two faces", "minutes": 9.0, "sharper": 0.7, "serves": "beam-tilt", "serves_factor": 0.6,
+                       "evidence": {"transit-tilt": 9.0}, "decides": True}],
+    },
+}  # fmt: skip
+
+
+def altered(content: Any) -> Iterator[Any]:
+    """Copies of JSON with one value replaced, one entry of a list gone or there twice, or one key gone."""
+    if isinstance(content, dict):
+        for key, inner in content.items():
+            yield {k: v for k, v in content.items() if k != key}
+            yield from (content | {key: value} for value in VALUES)
+            yield from (content | {key: changed} for changed in altered(inner))
+    elif isinstance(content, list) and content:
+        yield from ([*content, content[0]], content[1:])
+        yield from ([value, *content[1:]] for value in VALUES)
+        yield from ([changed, *content[1:]] for changed in altered(content[0]))
+
+
+def plan(folder: Path) -> dict[str, Any]:
+    """Content of a plan with one station."""
+    content: dict[str, Any] = json.loads((samples.plan_folder(folder) / "plan.json").read_text())
+    content["reference"]["stations"] = content["stations"] = content["stations"][:1]
+    return content | {"settings": {"goal": {"level_pct": 95}, "floor": {"margin_mm": 500}}}
+
+
+def sentence(file: Path, content: Any) -> str:
+    """Text of the section of a file with a content, or the sentence that refuses it."""
+    file.write_text(json.dumps(content))
+    try:
+        return section_of(content_of(file.parent, file.name)).text()
+    except LtsimError as problem:
+        says = str(problem)
+        assert says.startswith(str(file)) and "\n" not in says and len(says) < len(str(file)) + 400
+        return says
+
+
+def test_there_is_a_sample_of_each_result_that_has_a_section() -> None:
+    assert {*CONTENTS, "plan.json"} == {*WRITERS}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_altered_results_are_a_section_or_a_sentence(name: str, tmp_path: Path) -> None:
+    content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
+    read_result(_written(tmp_path / name, content), FILES[name])  # type: ignore[type-var]
+    for number, changed in enumerate(altered(content)):
+        try:
+            assert sentence(tmp_path / name, changed)
+        except Exception as problem:
+            raise AssertionError(f"alteration {number} of {name}: {json.dumps(changed)[:2000]}") from problem
+
+
+def _written(file: Path, content: Any) -> Path:
+    file.write_text(json.dumps(content))
+    return file
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+@pytest.mark.filterwarnings("ignore")  # as the command does
+@pytest.mark.parametrize("name", WRITERS)
+def test_altered_results_are_drawn_or_refused(name: str, tmp_path: Path) -> None:
+    content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
+    for number, changed in enumerate(altered(content)):
+        _written(tmp_path / name, changed)
+        try:
+            for block in section_of(content_of(tmp_path, name)).blocks:
+                assert getattr(block, "uri", "drawn")
+        except LtsimError:
+            continue
+        except Exception as problem:
+            raise AssertionError(f"alteration {number} of {name}: {json.dumps(changed)[:2000]}") from problem
