@@ -31,9 +31,9 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m]; which targets (T,) the readings tie to nothing.
 
     Levels and known points define the frame where there are any, else it is the first station's. The station that
-    shares most targets with what is known already is joined next; where too few were measured with range and both
-    angles, single beams are intersected, stations resected, and a network of ranges alone begins by algebra. Targets
-    that are tied to nothing stand amid the others, to be left out.
+    shares most known targets is joined next; where too few were measured with range and both angles, single beams are
+    intersected, stations resected, and a network of ranges alone begins by algebra. Targets that are tied to nothing
+    stand amid the others, to be left out.
 
     NetworkError when the readings do not tie a station to the rest, or hold elevations alone.
     """
@@ -360,8 +360,6 @@ class NetworkInitialiser:
             self._place(s, places[stands[s]] + marks.offset[s], about_z(float(yaw[s])))
         self._located = np.where(np.isnan(self._located), places[: len(self._located)], self._located)
         self._anchored, self._upright = in_frame, True
-
-    # --- the end ---------------------------------------------------------------------------------------------------
 
     @property
     def loose(self) -> str:
