@@ -20,6 +20,7 @@ from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.model.construction import dh, misalignment
 from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Prior, Station
+from tests.families import family
 
 
 def test_without_noise_only_the_priors_pull(make, drawn) -> None:
@@ -218,7 +219,7 @@ def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:
     assert sizes["range-offset"] == pytest.approx(3e-6)
 
 
-@pytest.mark.parametrize("seed", [2, 12, 17])
+@pytest.mark.parametrize("seed", family([2, 12, 17]))
 def test_errors_of_an_uncalibrated_instrument_move_no_station_in_a_plain_adjustment(seed: int) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     found = lt.adjust(recording)

@@ -17,6 +17,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import scenario_to_toml
+from tests.families import family
 
 PROGRAM = Path(__file__).parents[2] / "docs" / "how-to" / "two_faces.py"
 ERRORS = {"vertical-index": -12.0, "beam-tilt": 8.0, "transit-tilt": 5.0}
@@ -169,7 +170,7 @@ def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters()
         lt.recover(SCENE, trials=2, calibrator=constant(8.0, 3.0, "mm"))
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", family([1, 2]))
 def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -> None:
     program = tmp_path / "mine.py"
     program.write_text("raise RuntimeError('license server not reachable')")
