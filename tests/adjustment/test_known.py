@@ -110,7 +110,7 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     assert "The known length T25-T28 is off by" in found.verdict.sentence
 
 
-@pytest.mark.parametrize("degrees", [7.0, -4.0])
+@pytest.mark.parametrize("degrees", family([-4.0, 7.0]))
 def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_reading(degrees: float) -> None:
     right = recording = network(seed=2, faces=2)[0]
     assert recording.setup.gauge is not None

@@ -146,7 +146,7 @@ def test_what_moves_from_day_to_day_is_no_event():
 
 
 def test_a_blow_stands_out_and_is_dated():
-    for trial in range(3):
+    for trial in range(2):
         history = walked(trial, blow=12.0)
         found, size = events(history), PRIOR[6] / CONSTRUCTION.parameters[6].factor
         assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.names[6])]

@@ -149,7 +149,7 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
 
 def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make, drawn) -> None:
     at, off, others = misalignment().names.index("range-offset"), [], 0
-    for seed in range(10):
+    for seed in range(6):
         truth = drawn(misalignment(), 26, seed)
         truth[at] = 60e-6
         found = calibrate_network(make(truth, faces=(1, 2), trial=seed), advise=False)
@@ -165,7 +165,7 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
 
 
 def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
-    for seed in range(10):
+    for seed in range(5):
         found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False)
         assert not [note for note in found.notes if "contradict" in note]
 

@@ -182,10 +182,11 @@ def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
     return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("amount", "told"),
     [
-        pytest.param(lambda time: np.mod(time, 2000.0) < 700.0, "cycle in time", marks=pytest.mark.long),
+        (lambda time: np.mod(time, 2000.0) < 700.0, "cycle in time"),
         (lambda time: (time > np.quantile(time, 0.3)) & (time < np.quantile(time, 0.6)), "step(time"),
     ],
 )
@@ -259,7 +260,7 @@ def test_a_level_that_simulation_cannot_reach_is_refused():
 
 
 def test_a_noisy_station_is_noise_and_not_a_shift():
-    recording, _ = workshop(7)
+    recording, _ = workshop(7, repeats=1)
     extra = stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()
     extra[recording.station != 1] = 0.0
     found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
@@ -292,7 +293,7 @@ def test_exchanged_reflectors_are_named_and_mended():
 
 @pytest.mark.parametrize("faces", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_clean_recording_is_consistent_and_its_diagnosis_is_a_function_of_the_seed(faces):
-    recording, _ = workshop(21, faces=faces)
+    recording, _ = workshop(21, faces=faces, repeats=1)
     found, again = diagnose(recording, seed=3), diagnose(recording, seed=3)
     assert found.verdict == "consistent"
     assert found.findings == ()

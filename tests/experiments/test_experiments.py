@@ -69,6 +69,7 @@ def mean(folder: Path, column: str, **wanted: str) -> float:
     return float(one(folder / "summary.csv", column=column, **wanted)["mean"])
 
 
+@pytest.mark.long
 def test_the_papers_tables(run: Run) -> None:
     out = run("01_paper_tables", 3)
     after = {"figure": "distance_after_mean", "method": "eq. 9"}
@@ -112,6 +113,7 @@ def test_harmonics_that_are_there_must_be_fitted(run: Run) -> None:
     )
 
 
+@pytest.mark.long
 def test_sensitive_positions(run: Run) -> None:
     out = run("06_sensitive_positions", 4)
     tilt = {

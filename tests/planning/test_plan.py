@@ -46,7 +46,7 @@ def table(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> PlannedNetwork:
     text = "[stations]\ncount = 4\ntradeoff_counts = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 24\n"
-    return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"), 2)))
+    return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"))))
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +206,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
 def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(starts, "SAYS", 0.0)
     kept: list[Any] = []
-    file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path, 2))
+    file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     made = make_plan(file, scenario, follower=Follower(keep=kept.append))
     assert kept
     assert kept[-1].target_names == made.chosen.survey.target_names

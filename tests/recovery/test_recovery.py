@@ -241,8 +241,9 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(errors), np.array(sigmas), np.array(inner)
 
 
-@pytest.mark.parametrize("trials", family([20, 500]))
-def test_predicted_covariance_is_the_spread_of_repeated_calibrations(trials: int) -> None:
+@pytest.mark.long
+def test_predicted_covariance_is_the_spread_of_repeated_calibrations() -> None:
+    trials = 500
     errors, sigmas, inner = errors_of(trials)
     z = errors / sigmas
     level = 0.001 / z.shape[1]
