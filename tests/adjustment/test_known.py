@@ -203,7 +203,8 @@ def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) ->
     return wrong.replace(setup=wrong.setup.model_copy(update={"gauge": gauge}))
 
 
-@pytest.mark.parametrize("wrong", family([0.3, 0.03]))
+@pytest.mark.long
+@pytest.mark.parametrize("wrong", [0.3, 0.03])
 def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> None:
     """Each contradicts the ranges and the other one: both are reported, and no effect is made of them."""
     recording, truth = network(seed=2, faces=2)

@@ -125,7 +125,6 @@ def test_the_command_line_says_it_and_refuses_it_elsewhere(
     assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift:S3"]) == 0
     assert "index-drift at S3" in capsys.readouterr().out
     assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift", "--method", "distance"]) == 2
-    assert "--with go with --method network" in capsys.readouterr().err
 
 
 @pytest.mark.long

@@ -107,7 +107,8 @@ def test_a_target_that_moved_is_no_wrong_reading():
     assert not single_errors(selection.fit).any()
 
 
-@pytest.mark.parametrize("factors", [(0.3, 0.4, 0.5), pytest.param((3.0, 2.0, 4.0), marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("factors", [(0.3, 0.4, 0.5), (3.0, 2.0, 4.0)])
 def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else(factors):
     """By a different factor in each observable."""
     recording, _ = workshop(4)
@@ -207,6 +208,7 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
     assert {e.name.partition(" at ")[2] for e in first.parameters[:3]} == names
 
 
+@pytest.mark.long
 def test_nothing_without_a_size_is_told_beside_something_else():
     """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
     recording = changed(workshop(2)[0], 40, 0, 15.0)

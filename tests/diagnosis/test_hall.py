@@ -86,6 +86,7 @@ def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None
     assert set(finding.where.observables) == {"azimuth", "elevation"} and finding.where.covariates == ("distance",)
 
 
+@pytest.mark.long
 def test_a_gauge_that_moves_once_is_one_group() -> None:
     recording, _ = network(faces=2, seed=3)
     adjustment = adjust(recording, misalignment())

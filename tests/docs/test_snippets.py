@@ -74,4 +74,4 @@ def test_page_names_commands_options_and_functions_that_there_are(page: Path) ->
                 assert verb is not None, f"line {block.line}: {command}"
                 verb.make_context(words[1], words[2:])  # raises on an option that there is not
                 count += 1
-    assert count > 5
+    assert count

@@ -203,6 +203,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
     assert said and said[0].startswith("best layout so far: 3 stations")
 
 
+@pytest.mark.long
 def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(starts, "SAYS", 0.0)
     kept: list[Any] = []
@@ -239,7 +240,6 @@ def test_built_in_plans_load_and_print() -> None:
             "floor.corners_mm.1 is [0, 0, 1, 2], but it should hold at most 2",
         ),
         ("[[points]]\nposition_mm = [1, 2, 3, 4]\n", "unknown key points.1.position_mm"),
-        ('scenario = "paper-workshp"\n', "did you mean paper-workshop"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:

@@ -132,14 +132,13 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     assert ("as noise brings it in one network of" in item.sentence) == (item.passed and adjusted.p_value < RARE / 2)
 
 
-def test_a_pointing_to_the_zenith_is_named_by_all_verbs() -> None:
+@pytest.mark.parametrize("verb", family([lt.adjust, lambda r: calibrate_network(r, advise=False), lt.diagnose]))
+def test_a_pointing_to_the_zenith_is_named_by_all_verbs(verb: Callable[[Recording], object]) -> None:
     recording, state = workshop()
     above = state.points.copy()
     above[3] = state.position[1] + state.rotation[1] @ [0.0, 0.0, 2.0]
     broken = seen(recording, above, 0)
-    verbs = (lt.adjust, lambda r: calibrate_network(r, advise=False), lt.diagnose)
-    for said in (words(verb, broken) for verb in verbs):
-        assert "row 32: at the zenith an azimuth means nothing, leave it out" in said
+    assert "row 32: at the zenith an azimuth means nothing, leave it out" in words(verb, broken)
     assert any("row 32: at the zenith" in item.sentence for item in check(broken).items)
 
 
