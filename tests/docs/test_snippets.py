@@ -26,7 +26,9 @@ MINUTES = {
     "campaign-results.md", "faces-control-levels.md", "next-measurement.md", "own-campaign.md", "own-hall.md",
     "own-tracker.md", "recovery-in-ci.md", "tutorial.md",
 }  # fmt: skip
-"""Pages with campaigns, searches and diagnoses of their own, run in the long run; README.md runs in every one."""
+"""Pages with campaigns, searches and diagnoses of their own, which only the long run executes."""
+LATER = [p for p in RUNNING if p.name in MINUTES or any(b.long for b in blocks(p))]
+"""Pages of which a part is executed in the long run alone."""
 
 
 @pytest.fixture(autouse=True)
@@ -39,13 +41,17 @@ def catalogue() -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(p, marks=[pytest.mark.long] * (p.name in MINUTES), id=p.name) for p in RUNNING]
+    ("page", "long"),
+    [
+        *(pytest.param(p, False, id=p.name) for p in RUNNING if p.name not in MINUTES),
+        *(pytest.param(p, True, id=f"{p.name}, all of it", marks=pytest.mark.long) for p in LATER),
+    ],
 )
-def test_page_does_what_it_says(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_does_what_it_says(page: Path, long: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for package in NEEDS.get(page.name, ()):
         pytest.importorskip(package, reason=f"a recipe of {page.name} needs {package}")
     monkeypatch.chdir(tmp_path)
-    assert check_page(page, tmp_path) > 0
+    assert check_page(page, tmp_path, long=long) > 0
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
@@ -56,9 +62,9 @@ def test_page_has_no_block_of_an_unknown_kind(page: Path) -> None:
     assert not unknown
 
 
-@pytest.mark.parametrize("page", [p for p in RUNNING if p.name in MINUTES], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", LATER, ids=lambda p: p.name)
 def test_page_names_commands_options_and_functions_that_there_are(page: Path) -> None:
-    """A page of minutes is not run each time: its commands are parsed, and its code is searched for names of `lt`."""
+    """What only the long run executes is parsed in each: commands with their options, code with its names of `lt`."""
     verbs, count = typer.main.get_command(app), 0
     for block in (b for b in blocks(page) if b.runs):
         if block.kind == "python":

@@ -93,6 +93,7 @@ def test_the_network_is_nearer_to_the_truth(run: Run) -> None:
     assert list((out / "config" / "rows").rglob("*.parquet"))
 
 
+@pytest.mark.long
 def test_removing_outliers_beats_bearing_them(run: Run) -> None:
     out = run("03_least_squares_or_absolute", 1)
     errors = {row["method"]: float(row["new_point_mean"]) for row in table(out / "methods.csv", outliers_percent="2.0")}

@@ -52,7 +52,7 @@ def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too
 
 
 def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None:
-    how = {"trials": 12, "seed": 2, "calibrator": two_faces}
+    how = {"trials": 8, "seed": 2, "calibrator": two_faces}
     wide = lt.recover(SCENE, tolerance={"beam-tilt": "2 urad"}, **how)
     assert {check.what for check in wide.checks} == {"convergence", "beam-tilt"} and not wide.failures()
     narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failures()
@@ -153,7 +153,7 @@ def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
         value, sigma, unit = estimates["beam-tilt"]
         return estimates | {"beam-tilt": (value + 0.9 * sigma, sigma, unit)}
 
-    failures = lt.recover(SCENE, trials=30, seed=2, calibrator=shifted).failures()
+    failures = lt.recover(SCENE, trials=20, seed=2, calibrator=shifted).failures()
     assert {(check.what, check.statistic) for check in failures} == {("beam-tilt", "mean z-score")}
 
 
