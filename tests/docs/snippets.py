@@ -2,8 +2,8 @@
 
 A ``sh`` block is run command by command, a ``python`` block as a whole; a ``text`` block behind one of them is what it
 prints, where ``...`` stands for anything. A block whose first line is a comment with a file's name, as ``# hall.toml``,
-is that file. ``<!-- not run: why -->`` before a block keeps it from being run, and ``<!-- long run: why -->`` from every
-run but the long one.
+is that file. ``<!-- not run: why -->`` before a block keeps it from being run, ``<!-- long run: why -->`` from each run
+but the long one.
 """
 
 from __future__ import annotations
