@@ -239,8 +239,9 @@ def test_results_are_a_few_lines_and_their_tables_data_frames(drawn: list[Any]):
         assert 20 < len(repr(result)) < 1000, repr(result)
         assert repr(result).count("\n") < 8
         for name in result._tables():
-            assert isinstance(result.to_dataframe(name), pandas.DataFrame), (type(result), name)
-            assert len(result.to_dataframe(name).columns), (type(result), name)
+            frame = result.to_dataframe(name)
+            assert isinstance(frame, pandas.DataFrame), (type(result), name)
+            assert len(frame.columns) or name == "z_scores", type(result)  # which the campaign here does not ask for
 
 
 def test_what_has_no_table_says_so():
