@@ -1,8 +1,9 @@
-"""Settings of all tests: one thread, no windows, the same random examples on every run."""
+"""Settings of all tests: one thread, no windows, cached bytecode, the same random examples on every run."""
 
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 # Before numpy is imported for the first time: its thread pools read these once.
@@ -10,6 +11,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
     os.environ.setdefault(_name, "1")
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["PYVISTA_OFF_SCREEN"] = "true"
+# Tests start some hundred processes; without bytecode each compiles the package again, half of its time.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import pytest
 from hypothesis import HealthCheck, settings

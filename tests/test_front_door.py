@@ -50,28 +50,6 @@ def recording() -> Any:
     return lt.simulate("paper-workshop", seed=7).recording
 
 
-@pytest.fixture(scope="module")
-def results(recording) -> list[Result]:
-    """One of every kind that takes no campaign."""
-    calibration = lt.calibrate(recording)
-    return [
-        recording,
-        lt.scenario("paper-workshop"),
-        lt.simulate("paper-workshop").truth,
-        calibration,
-        calibration.adjustment,
-        lt.adjust(recording),
-        lt.evaluate(recording, calibration),
-        lt.evaluate(recording),
-        lt.history([calibration, recording]),
-        lt.diagnose(recording),
-        lt.next_measurement(recording),
-        lt.recover("paper-workshop", trials=2),
-        lt.catalogue("beam-tilt", "backlash"),
-        lt.view("paper-workshop"),
-    ]
-
-
 def test_the_package_itself_loads_nothing_heavy():
     loaded = "import sys, ltsim, ltsim.core.errors; dir(ltsim); ltsim.__version__; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
@@ -106,20 +84,6 @@ def test_the_examples_say_what_they_say(name: str, tmp_path: Path, monkeypatch):
     said: list[str] = []
     failed = doctest.DocTestRunner().run(EXAMPLES[name], out=said.append).failed
     assert not failed, "".join(said)
-
-
-def test_results_are_a_few_lines(results):
-    for result in results:
-        assert 20 < len(repr(result)) < 1000, repr(result)
-        assert repr(result).count("\n") < 8
-
-
-def test_tables_of_results_become_data_frames(results):
-    pandas = pytest.importorskip("pandas", reason="the extra 'pandas' is not installed")
-    for result in results:
-        for name in result._tables():
-            assert isinstance(result.to_dataframe(name), pandas.DataFrame), (type(result), name)
-            assert len(result.to_dataframe(name).columns), (type(result), name)
 
 
 def test_a_table_that_does_not_exist_is_answered_with_those_that_do(recording):

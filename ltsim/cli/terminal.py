@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ltsim.cli import streams
 from ltsim.cli.places import FOLDER, Force, check_overwrite
@@ -94,6 +92,9 @@ class Terminal:
             with self._sign_of_life(lambda: what if total is None else f"{what}: {done[0]} of {total}"):
                 yield lambda steps: done.__setitem__(0, done[0] + steps)
             return
+        from rich.console import Console  # imported here: a twentieth of a second that few commands need
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
         counted = () if total is None else (MofNCompleteColumn(), TimeRemainingColumn())
         columns = (TextColumn("{task.description}"), BarColumn(), *counted)
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

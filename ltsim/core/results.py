@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from ltsim.core.arrays import Floats
+from ltsim.core.descriptions import descriptions
 from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
 from ltsim.core.limits import LINES
 from ltsim.core.notation import NONE, aligned, decimals, number, with_sigma
@@ -139,12 +140,12 @@ def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str
     `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
     field are given by its name: ``value={"sigma": "sigma"}``.
     """
-    made = []
+    made, meanings = [], descriptions(model)
     for name in names.split() or model.model_fields:
         field = model.model_fields[name]
         kind = "flag" if field.annotation is bool else "text" if _is_text(field.annotation) else "number"
         how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **more.get(name, {})}
-        made.append(Column(meaning=(field.description or "").rstrip("."), **how))
+        made.append(Column(meaning=meanings.get(name, "").rstrip("."), **how))
     return tuple(made)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import datetime
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
+
+from ltsim.core.descriptions import DescribedModel
 
 if TYPE_CHECKING:
     from ltsim.core.arrays import Floats
@@ -79,7 +81,7 @@ EXACT_LEVEL_ARCSEC = 1e-3
 """Levelling sigma of formats whose instruments are levelled exactly (gama-local, LGC without ROT3D)."""
 
 
-class TomlSection(BaseModel):
+class TomlSection(DescribedModel):
     """A table of the file: unknown keys are refused, values cannot change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

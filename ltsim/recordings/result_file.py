@@ -17,7 +17,6 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -27,6 +26,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema
 
+from ltsim.core.descriptions import DescribedModel
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import JSON_VALUES
 from ltsim.core.results import LARGEST
@@ -79,10 +79,10 @@ def _fail_fast(schema: Any) -> None:
                 _fail_fast(part)
 
 
-class Entry(BaseModel):
+class Entry(DescribedModel):
     """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

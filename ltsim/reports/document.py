@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ltsim.core import results
+from ltsim.core.descriptions import descriptions
 from ltsim.core.notation import NONE, aligned, number
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import ResultFile, companion
@@ -252,10 +253,9 @@ def table_of(
     columns: list[results.Column] = []
     for field in fields if rows else ():
         (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
-        declared = type(rows[0]).model_fields.get(name)
         first = getattr(rows[0], name)
         kind: results.Kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
-        about = (declared.description or "") if declared else ""
+        about = descriptions(type(rows[0])).get(name, "")
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []
     cells = [[_joined(getattr(row, column.name)) for column in columns] for row in rows]

@@ -167,7 +167,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
     """Both ends of a length share most of their errors: U / 2 is the spread of the length's error, for each kind."""
     sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
     short, long = [], []
-    for seed in range(24):
+    for seed in range(12):
         recording, truth = lt.simulate("paper-workshop", seed=seed)
         own = by_network(recording, sheet)
         ends = {target: truth.points[recording.targets.index(target)] for target in recording.targets}

@@ -57,7 +57,7 @@ def test_no_start_values_are_needed_with_stations_upside_down():
 
 def test_chi2_has_its_distribution_and_redundancies_sum_to_the_degrees_of_freedom():
     values = []
-    for seed in range(60):
+    for seed in range(40):
         recording, _ = network(values=drawn(misalignment(), seed), seed=seed)
         found = adjust(recording, misalignment())
         values.append(found.p_value)
@@ -131,7 +131,7 @@ def test_predicted_covariance_is_the_spread_of_repeated_adjustments():
     """mrcal's test: targets, poses and parameters together, by normalised squared errors."""
     construction = misalignment()
     squares = {"targets": [], "poses": [], "parameters": []}
-    for seed in range(120):
+    for seed in range(60):
         values = drawn(construction, seed)
         recording, truth = network(values=values, seed=seed)
         found = adjust(recording, construction)

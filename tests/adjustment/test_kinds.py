@@ -17,6 +17,7 @@ from ltsim.physics.model.construction import ideal, misalignment
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
+from tests.families import family
 from tests.networks import drawn, network
 
 EXACT = 2e-8
@@ -454,7 +455,7 @@ def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
 # --- anything missing anywhere ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", family(range(12), 3))
 @pytest.mark.parametrize("kind", ["tracker", "levelled", "known", "marks"])
 def test_any_readings_may_be_missing(kind, seed):
     """Sixty per cent of the ranges, a quarter of everything, or nine ranges of ten: it starts, converges and fits."""

@@ -20,6 +20,7 @@ from ltsim.geometry.polar import wrap
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
+from tests.families import family
 from tests.networks import mesh, network
 
 SIX = ("T01", "T06", "T12", "T16", "T20", "T25")
@@ -54,7 +55,7 @@ def with_length(recording: Recording, number: int, more_mm: float) -> Recording:
 
 
 @pytest.mark.parametrize("robust", [False, True])
-@pytest.mark.parametrize("size", [0.3, 1.0, 10.0, 200.0])
+@pytest.mark.parametrize("size", family([0.3, 200.0, 1.0, 10.0], 2))
 def test_a_wrong_control_point_is_named_and_the_readings_stay(size: float, robust: bool) -> None:
     for i, name in enumerate(SIX):
         recording = controlled(10 + i, {name: size}, stations=3)
@@ -109,7 +110,7 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     assert "The known length T25-T28 is off by" in found.verdict.sentence
 
 
-@pytest.mark.parametrize("degrees", [7.0, -4.0])
+@pytest.mark.parametrize("degrees", family([-4.0, 7.0]))
 def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_reading(degrees: float) -> None:
     right = recording = network(seed=2, faces=2)[0]
     assert recording.setup.gauge is not None
@@ -202,7 +203,8 @@ def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) ->
     return wrong.replace(setup=wrong.setup.model_copy(update={"gauge": gauge}))
 
 
-@pytest.mark.parametrize("wrong", [0.03, 0.3])
+@pytest.mark.long
+@pytest.mark.parametrize("wrong", [0.3, 0.03])
 def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> None:
     """Each contradicts the ranges and the other one: both are reported, and no effect is made of them."""
     recording, truth = network(seed=2, faces=2)
@@ -233,7 +235,7 @@ def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
     assert all(0.0 < e["redundancy"] < 1.0 and e["minimal_detectable"] > 0.0 for e in others)
 
 
-@pytest.mark.parametrize("size", [0.3, 1.0, 10.0, 200.0])
+@pytest.mark.parametrize("size", family([0.3, 200.0, 1.0, 10.0], 2))
 def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(size: float) -> None:
     recording = network(seed=4, stations=3)[0]
     noise = 2e-5 * stream(4, "axes").standard_normal(mesh().shape)

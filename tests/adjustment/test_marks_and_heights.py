@@ -15,6 +15,7 @@ from ltsim.physics.model.construction import ideal
 from ltsim.physics.model.measurement import MeasurementModel, State
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
+from tests.families import family
 from tests.networks import STATIONS, mesh, network
 
 
@@ -43,7 +44,7 @@ def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("height", [0.002, 0.1, 1.0, -1.0])
+@pytest.mark.parametrize("height", family([0.002, -1.0, 0.1, 1.0], 2))
 def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(height: float) -> None:
     recording = two_days(height, along=(0.0, 0.0, 1.0))
     found = adjust(recording)

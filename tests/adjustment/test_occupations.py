@@ -13,6 +13,7 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Instrument, Noise, Setup, Station
+from tests.families import family
 
 PILLARS = np.array([[0, 0, 0], [90, 5, 2], [60, 80, -3], [-20, 60, 4], [30, 35, 1]], dtype=np.float64)
 DAYS = ("2026-05-04", "2026-05-05")
@@ -68,7 +69,7 @@ def test_no_tripod_of_a_sound_network_is_named(spire: float) -> None:
 
 
 @pytest.mark.parametrize("spire", [1.0, 30.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", family(range(4)))
 def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int, spire: float) -> None:
     found = adjust(local_tie(seed, (1.5, 1.0, 0.0), spire))
     moved = centring_errors(found)

@@ -53,6 +53,7 @@ def test_a_factorisation_that_fails_names_the_weakest_station_and_target(recordi
     assert f"target {recording.targets[4]} has" in str(refused.value)
 
 
+@pytest.mark.long
 def test_a_known_length_of_targets_in_one_place_is_no_fault(recording: Recording) -> None:
     """Targets in one horizontal plane against a gauge: a contradiction beyond any surprise is told, or refused."""
     readings = recording.readings.copy()

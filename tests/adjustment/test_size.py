@@ -77,6 +77,7 @@ def tunnel(stations, each=50):
     return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
 
 
+@pytest.mark.long
 def test_memory_follows_the_pointings_and_not_the_square_of_the_set_ups():
     """400 set-ups: one table of all stations and targets would be 240 MB, a few of them a gigabyte."""
     recording = tunnel(400)

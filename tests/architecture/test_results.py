@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import ltsim as lt
+from ltsim.core.descriptions import descriptions
 from ltsim.core.results import Result
 from ltsim.recordings.result_file import ResultFile
 from ltsim.reports.schemas import FILES, RESULTS
@@ -46,8 +47,7 @@ def test_the_result_of_a_verb_is_the_model_of_its_file(verb: str, file: str) -> 
     kind = returned(verb)
     assert issubclass(kind, ResultFile) and issubclass(kind, Result)
     assert FILES[file] is kind and file == kind.FILE and kind in RESULTS
-    for field in kind.model_fields.values():
-        assert field.description, f"{kind.__name__} has a field without a description"
+    assert descriptions(kind).keys() == kind.model_fields.keys(), f"{kind.__name__} has a field without a description"
 
 
 def test_every_verb_with_a_file_is_listed() -> None:

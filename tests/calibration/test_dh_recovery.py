@@ -41,7 +41,7 @@ def directions() -> Floats:
 
 
 @pytest.mark.parametrize(
-    "number", [n if n % 8 == 0 else pytest.param(n, marks=pytest.mark.long) for n in range(DETERMINED)]
+    "number", [n if n % 16 == 0 else pytest.param(n, marks=pytest.mark.long) for n in range(DETERMINED)]
 )
 def test_a_combination_far_off_its_prior_is_recovered_and_its_misfit_is_said(directions: Floats, number: int) -> None:
     injected = FAR * directions[:, number]

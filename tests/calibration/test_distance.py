@@ -17,6 +17,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings.setup import Setup
+from tests.families import family
 
 
 def problem_of(recording) -> DistanceProblem:
@@ -112,9 +113,9 @@ def test_two_faces_determine_what_flips(make, drawn) -> None:
     assert np.all(found.sigma > 0.99 * calibrate_network(make(truth, faces=(1, 2))).sigma)
 
 
-@pytest.mark.parametrize("norm", ["squares", "absolute"])
+@pytest.mark.parametrize("norm", family(["squares", "absolute"]))
 def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
-    """Errors of 120 calibrations, normalised by the stated covariance of each."""
+    """Errors of 60 calibrations, normalised by the stated covariance of each."""
     trials = 60
     score, total = [], []
     for trial in range(trials):

@@ -11,6 +11,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.physics.model.construction import misalignment
+from tests.families import family
 from tests.networks import drawn, network
 
 BUILT = misalignment()
@@ -28,7 +29,7 @@ def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
     return gradient / (np.linalg.norm(rows.by_unknown, axis=0) * np.linalg.norm(rows.residual))
 
 
-@pytest.mark.parametrize("seed", range(100))
+@pytest.mark.parametrize("seed", family(range(100), 10))
 def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
     problem = problem_of(seed)
     found = solve_equation_9(problem, "squares")
@@ -72,7 +73,7 @@ def test_zero_is_a_subgradient_of_the_absolute_values_for_many_seeds(seed: int) 
     check_absolute(seed)
 
 
-@pytest.mark.parametrize("norm", ["squares", "absolute"])
+@pytest.mark.parametrize("norm", family(["squares", "absolute"]))
 def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -> None:
     problem, box = problem_of(3), 0.8
     found = solve_equation_9(problem, norm, box=box)

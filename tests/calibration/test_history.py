@@ -140,13 +140,13 @@ def walked(trial, *, blow=0.0):
 
 def test_what_moves_from_day_to_day_is_no_event():
     """The joint test sees every step; hardly one in a hundred histories has an event that is none."""
-    histories = [walked(trial) for trial in range(30)]
+    histories = [walked(trial) for trial in range(12)]
     assert all(change.p_value < 0.01 for change in histories[0].changes())
-    assert sum(bool(events(history)) for history in histories) <= 2
+    assert sum(bool(events(history)) for history in histories) <= 1  # two by chance: 0.6 %
 
 
 def test_a_blow_stands_out_and_is_dated():
-    for trial in range(3):
+    for trial in range(2):
         history = walked(trial, blow=12.0)
         found, size = events(history), PRIOR[6] / CONSTRUCTION.parameters[6].factor
         assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.names[6])]

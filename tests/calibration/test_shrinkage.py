@@ -16,6 +16,7 @@ from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import Instrument, Noise, Prior
+from tests.families import family
 from tests.networks import drawn, mesh, network
 
 BUILT = misalignment()
@@ -163,7 +164,7 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     assert np.any(found.values[0, at] != 0.0)
 
 
-@pytest.mark.parametrize(("stations", "sparse", "most"), [(1, True, 0.7), (2, True, 0.8), (1, False, 1.05)])
+@pytest.mark.parametrize(("stations", "sparse", "most"), family([(1, True, 0.7), (2, True, 0.8), (1, False, 1.05)]))
 def test_what_is_left_out_by_default_makes_new_points_no_worse(stations: int, sparse: bool, most: float) -> None:
     """Trackers drawn over seeds: six of sixteen terms, a third as large as stated, or all as large as stated.
 

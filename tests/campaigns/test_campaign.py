@@ -351,11 +351,3 @@ def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
     means = {(s.cell, s.method): s.mean for s in results.spread("target_error_um")}
     assert gap[0].difference == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
     assert gap[0].low > 0  # an uncalibrated network errs more
-
-
-def test_damaged_shard_under_a_query_is_a_sentence(file: Path, tmp_path: Path) -> None:
-    run_campaign(file, tmp_path / "out")
-    shard = Store(tmp_path / "out").shard_path(0, 0)
-    shard.write_bytes(shard.read_bytes()[:1000])
-    with pytest.raises(SetupError, match=r"a shard cannot be read.*--resume"):
-        Results(tmp_path / "out").summary()

@@ -21,6 +21,7 @@ from ltsim.core.notation import number
 from ltsim.reports.document import Grid
 from ltsim.reports.figures.campaign import swept
 from ltsim.reports.sections.campaign import campaign_section, cell_words
+from tests.families import family
 
 SWEEP = {
     "scenario": "paper-workshop",
@@ -164,7 +165,7 @@ def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 
-@pytest.mark.parametrize("kind", [lt.calibrate, lt.adjust, lt.diagnose])
+@pytest.mark.parametrize("kind", family([lt.calibrate, lt.adjust, lt.diagnose], 2))
 def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=3)
     table = kind(recording).table("residuals")

@@ -14,9 +14,10 @@ from ltsim.cli.main import VERBS, run
 from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
+from tests.families import family
 
 START = "from ltsim.cli.main import main; main()"
-CLOSED = {">&-": 0, "2>&-": 0, ">&- 2>&-": 0, "<&- >&- 2>&-": 0, "| true": 0, "2>&1 | true": 0, "2>/dev/full": 0}
+CLOSED = {">&-": 0, "<&- >&- 2>&-": 0, "| true": 0, "2>/dev/full": 0, "2>&-": 0, ">&- 2>&-": 0, "2>&1 | true": 0}
 """What is done to the streams, and the status of a verb that has something to say all the same."""
 
 
@@ -40,7 +41,7 @@ def shell(folder: Path, words: str, streams: str, **surroundings: str) -> subpro
     return subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, check=False, env=given)
 
 
-@pytest.mark.parametrize("streams", CLOSED)
+@pytest.mark.parametrize("streams", family(CLOSED, 4))
 def test_a_verb_does_its_work_whatever_the_streams_are(streams: str, inputs: Path, tmp_path: Path) -> None:
     out = tmp_path / "net"
     done = shell(inputs, f"adjust rec --out {out}", streams)
@@ -70,11 +71,13 @@ def test_json_without_a_standard_output_is_refused_before_the_work(inputs: Path)
     assert done.stderr.startswith(b"error: --json prints to standard output, which is closed")
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
-def test_names_that_a_terminal_cannot_print_are_escaped(encoding: str, inputs: Path) -> None:
+@pytest.mark.parametrize(
+    ("encoding", "verbs"), family([("cp1252", ["adjust"]), ("ascii", ["adjust", "diagnose --no-held-out"])])
+)
+def test_names_that_a_terminal_cannot_print_are_escaped(encoding: str, verbs: list[str], inputs: Path) -> None:
     done = shell(inputs, "check named --json && ltsim() { :; }", "", PYTHONIOENCODING=encoding)
     assert done.returncode in (0, 1)
-    for words in ("adjust named", "diagnose named --no-held-out", "adjust \u0141"):
+    for words in (*(f"{verb} named" for verb in verbs), "adjust \u0141"):
         done = shell(inputs, words, "", PYTHONIOENCODING=encoding)
         assert done.returncode == (2 if words.endswith("\u0141") else 0)
         assert b"Traceback" not in done.stderr

@@ -35,7 +35,7 @@ def test_no_chance_is_a_dash() -> None:
     [
         ("adjust", 10.0, "smaller than the stated noise"),
         ("adjust", 0.1, "do not agree"),
-        ("calibrate", 0.1, "do not agree"),
+        pytest.param("calibrate", 0.1, "do not agree", marks=pytest.mark.long),
     ],
 )
 def test_noise_stated_wrong_is_no_agreement_on_either_side(

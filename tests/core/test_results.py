@@ -23,6 +23,7 @@ from ltsim.core.values import ValueEquality, equal_values
 from ltsim.reports.verbs import View
 from ltsim.simulation.inject import InjectionCurve
 from ltsim.simulation.scenario import Scenario
+from tests.families import family
 
 POINTS = Table(
     "points.csv",
@@ -154,9 +155,11 @@ def test_every_result_can_be_copied_pickled_and_compared(name: str, kept):
     assert all(other is result or other != result for other in kept.values())
 
 
-@pytest.fixture(scope="module")
-def drawn(kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
-    """One of every result, or more."""
+@pytest.fixture(scope="module", params=family(["cheap", "all"]))
+def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """Results that cost little in every run, one of every result in the long one."""
+    if request.param == "cheap":
+        return [result for name, result in kept.items() if name not in ("truth", "catalogue")]
     recording, calibration, folder = kept["recording"], kept["calibration"], tmp_path_factory.mktemp("results")
     small = {
         "format": "ltsim-campaign/1",
@@ -192,11 +195,14 @@ WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth"}
 
 
 @pytest.mark.long
-def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: list[Any]):
-    for module in walk_packages(lt.__path__, "ltsim."):
-        import_module(module.name)
-    kinds = {kind.__name__ for kind in Result.__subclasses__() if kind.__module__.startswith("ltsim.")}
-    assert kinds - WITHOUT == {type(result).__name__ for result in drawn}
+def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(
+    drawn: list[Any], request: pytest.FixtureRequest
+):
+    if request.node.callspec.params["drawn"] == "all":
+        for module in walk_packages(lt.__path__, "ltsim."):
+            import_module(module.name)
+        kinds = {kind.__name__ for kind in Result.__subclasses__() if kind.__module__.startswith("ltsim.")}
+        assert kinds - WITHOUT == {type(result).__name__ for result in drawn}
     for result in drawn:
         figure = result.plot()
         assert isinstance(figure, Figure)
@@ -225,6 +231,17 @@ def test_the_parts_of_a_result_are_compared_by_value(drawn: list[Any], kept: dic
         parts = [part for value in held for part in (value if isinstance(value, tuple) else (value,))]
         for part in filter(is_dataclass, parts):
             assert copy.deepcopy(part) == part, (type(result), type(part))
+
+
+def test_results_are_a_few_lines_and_their_tables_data_frames(drawn: list[Any]):
+    pandas = pytest.importorskip("pandas", reason="the extra 'pandas' is not installed")
+    for result in drawn:
+        assert 20 < len(repr(result)) < 1000, repr(result)
+        assert repr(result).count("\n") < 8
+        for name in result._tables():
+            frame = result.to_dataframe(name)
+            assert isinstance(frame, pandas.DataFrame), (type(result), name)
+            assert len(frame.columns) or name == "z_scores", type(result)  # which the campaign here does not ask for
 
 
 def test_what_has_no_table_says_so():

@@ -64,6 +64,7 @@ def test_a_heat_plume_that_stands_in_the_hall_is_named_and_placed(clean) -> None
     assert warmer.value == pytest.approx(kelvin, rel=0.5)
 
 
+@pytest.mark.long
 def test_ranges_that_are_longer_through_a_column_are_placed(clean) -> None:
     column = Region("xy", middle_of_the_lines(clean[1], "xy"), 0.5)
     change = np.zeros_like(clean[0].readings)
@@ -75,6 +76,7 @@ def test_ranges_that_are_longer_through_a_column_are_placed(clean) -> None:
         assert centre(finding)[axis][0] == pytest.approx(true, abs=0.5)
 
 
+@pytest.mark.long
 def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None:
     distance = clean[1].sightings.range_
     change = np.stack([0.0 * distance, *[np.tanh(4.0 * (distance - np.median(distance)))] * 2], axis=1)
@@ -84,6 +86,7 @@ def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None
     assert set(finding.where.observables) == {"azimuth", "elevation"} and finding.where.covariates == ("distance",)
 
 
+@pytest.mark.long
 def test_a_gauge_that_moves_once_is_one_group() -> None:
     recording, _ = network(faces=2, seed=3)
     adjustment = adjust(recording, misalignment())

@@ -67,6 +67,7 @@ def knocked(stations: int) -> tuple[Recording, str]:
     return recording.with_readings(recording.readings + change), recording.targets[target]
 
 
+@pytest.mark.long
 def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
     rate = 8e-6 / 3600.0
     found = diagnose(monitoring(100, rate), seed=1, held_out=True)

@@ -2,7 +2,8 @@
 
 A ``sh`` block is run command by command, a ``python`` block as a whole; a ``text`` block behind one of them is what it
 prints, where ``...`` stands for anything. A block whose first line is a comment with a file's name, as ``# hall.toml``,
-is that file. ``<!-- not run: why -->`` before a block keeps it from being run.
+is that file. ``<!-- not run: why -->`` before a block keeps it from being run, ``<!-- long run: why -->`` from each run
+but the long one.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ sys.path.insert(0, str(ROOT / "docs"))
 from from_code.shell import commands, execute
 
 BLOCK = re.compile(
-    r"(?P<left><!-- not run: [^>]+ -->\n\s*)?^(?P<fence>```+)(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^(?P=fence)\s*$",
+    r"(?:<!-- (?P<mark>not run|long run): [^>]+ -->\n\s*)?"
+    r"^(?P<fence>```+)(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^(?P=fence)\s*$",
     re.MULTILINE | re.DOTALL,
 )
 FILE = re.compile(r"# (?P<name>[\w./-]+\.(?:toml|py|csv|txt|yml))\n")
@@ -34,12 +36,13 @@ ALIKE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its language, its text, the line it begins in, and whether it is to be run."""
+    """A fenced block: language, text, the line it begins in, whether it is run, and whether only in the long run."""
 
     kind: str
     text: str
     line: int
     runs: bool
+    long: bool
 
 
 def blocks(page: Path) -> Iterator[Block]:
@@ -47,11 +50,11 @@ def blocks(page: Path) -> Iterator[Block]:
     content = page.read_text(encoding="utf-8")
     for found in BLOCK.finditer(content):
         line = content.count("\n", 0, found.start("fence")) + 1
-        yield Block(found["kind"], found["text"], line, found["left"] is None)
+        yield Block(found["kind"], found["text"], line, found["mark"] != "not run", found["mark"] == "long run")
 
 
-def check_page(page: Path, folder: Path) -> int:
-    """Run the blocks of a page in a folder that is the current one; how many ran."""
+def check_page(page: Path, folder: Path, *, long: bool) -> int:
+    """Run the blocks of a page, in the long run or in another, in a folder that is the current one; how many ran."""
     for beside in page.parent.iterdir():
         if beside.suffix == ".csv" or beside.name.startswith("example-"):
             (shutil.copytree if beside.is_dir() else shutil.copy)(beside, folder / beside.name)
@@ -62,7 +65,7 @@ def check_page(page: Path, folder: Path) -> int:
     for block in blocks(page):
         where = f"{page.name}, line {block.line}"
         file = FILE.match(block.text)
-        if not block.runs:
+        if not block.runs or (block.long and not long):
             printed = None
         elif file:
             (folder / file["name"]).write_text(block.text, encoding="utf-8")

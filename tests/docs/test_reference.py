@@ -7,6 +7,7 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
+from ltsim.core.descriptions import descriptions
 from ltsim.recordings.native import BASIC, BOUNDS, WORDS
 from ltsim.reports.schemas import FILES
 from tests.conftest import ROOT
@@ -29,8 +30,8 @@ def tables(model: type[BaseModel]) -> set[type[BaseModel]]:
 
 @pytest.mark.parametrize("file", FILES)
 def test_every_key_says_what_it_means(file: str) -> None:
-    keys = [(t.__name__, name, f) for t in tables(FILES[file]) for name, f in t.model_fields.items()]
-    assert [f"{table}.{name}" for table, name, field in keys if not field.description] == []
+    keys = [(t, name) for t in tables(FILES[file]) for name in t.model_fields]
+    assert [f"{table.__name__}.{name}" for table, name in keys if not descriptions(table).get(name)] == []
 
 
 def test_every_column_of_a_recording_is_in_the_reference() -> None:

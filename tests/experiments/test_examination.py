@@ -75,6 +75,7 @@ def state_of(hall: Any, recording: Any) -> State:
     return State(p.position[stations], p.rotation[stations], p.points[targets], p.constants)
 
 
+@pytest.mark.long
 def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_path: Path) -> None:
     """`ltsim` cannot be imported: recordings, a foreign program's answers and scores are made all the same."""
     (tmp_path / "plan.toml").write_text(PLAN)

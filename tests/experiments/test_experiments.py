@@ -69,6 +69,7 @@ def mean(folder: Path, column: str, **wanted: str) -> float:
     return float(one(folder / "summary.csv", column=column, **wanted)["mean"])
 
 
+@pytest.mark.long
 def test_the_papers_tables(run: Run) -> None:
     out = run("01_paper_tables", 3)
     after = {"figure": "distance_after_mean", "method": "eq. 9"}
@@ -92,6 +93,7 @@ def test_the_network_is_nearer_to_the_truth(run: Run) -> None:
     assert list((out / "config" / "rows").rglob("*.parquet"))
 
 
+@pytest.mark.long
 def test_removing_outliers_beats_bearing_them(run: Run) -> None:
     out = run("03_least_squares_or_absolute", 1)
     errors = {row["method"]: float(row["new_point_mean"]) for row in table(out / "methods.csv", outliers_percent="2.0")}
@@ -112,6 +114,7 @@ def test_harmonics_that_are_there_must_be_fitted(run: Run) -> None:
     )
 
 
+@pytest.mark.long
 def test_sensitive_positions(run: Run) -> None:
     out = run("06_sensitive_positions", 4)
     tilt = {

@@ -65,6 +65,7 @@ def test_committed_results_are_refused_where_sources_are_not_committed(monkeypat
     common.refuse_changes(Path("/elsewhere/results"))
 
 
+@pytest.mark.long
 def test_all_goes_on_where_it_was_broken_off(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

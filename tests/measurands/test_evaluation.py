@@ -25,6 +25,7 @@ from ltsim.recordings import write
 from ltsim.recordings.recording import ENDINGS
 from ltsim.recordings.result_file import read_result
 from ltsim.simulation.verbs import simulate
+from tests.families import family
 from tests.networks import drawn, network
 
 TASKS: dict[str, Any] = {
@@ -181,7 +182,7 @@ def test_published_distributions() -> None:
     assert not found.agrees(linear, 0.95)[0]
 
 
-@pytest.mark.parametrize("digits", [1, 2])
+@pytest.mark.parametrize("digits", family([1, 2]))
 def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(digits: int) -> None:
     """JCGM 101:2008, 8.2: compared with delta only when the trials' own error is a fifth of it; 100 seeds, no alarm."""
     measurand = Measurand(Task(name="place", kind="point", targets=("P",)), np.array([0]))

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-KERNELS = ("Haswell", "SkylakeX", "Zen", "Nehalem")
+from tests.families import family
+
+KERNELS = ("Haswell", "Nehalem", "SkylakeX", "Zen")
 ROOT = Path(__file__).resolve().parents[2]
 DECISIONS = """
 import json
@@ -36,7 +38,7 @@ print(json.dumps(found))
 """
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", family(KERNELS, 2))
 def test_rank_is_the_same_under_every_kernel(kernel: str) -> None:
     environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-W", "error", "-c", DECISIONS]

@@ -66,6 +66,7 @@ def test_points_are_told_to_the_micrometre_with_uncertainty_and_stations(made: P
         assert len(row["visible_from"].split()) == entry["stations_seeing"]
 
 
+@pytest.mark.long
 def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys) -> None:
     assert run(["plan", str(made), "--without", "S2"]) == 0
     lost, *places, follows = capsys.readouterr().out.strip().splitlines()

@@ -87,7 +87,7 @@ def test_unknown_things(tmp_path: Path) -> None:
         read(tmp_path / "trial")
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_gets_one_sentence(files: dict[str, Path], data: st.DataObject) -> None:
     name = data.draw(st.sampled_from([n for n in files if n != "native"]))

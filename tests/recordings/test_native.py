@@ -413,7 +413,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     )
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
+@settings(max_examples=25, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
 @given(recording=recordings())
 def test_any_recording_survives(tmp_path: Path, recording: Recording) -> None:
     write_recording(recording, tmp_path / "rec")
@@ -423,14 +423,14 @@ def test_any_recording_survives(tmp_path: Path, recording: Recording) -> None:
     same(back, read_recording(tmp_path / "again"))
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
+@settings(max_examples=25, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
 @given(setup=setups())
 def test_any_setup_survives(tmp_path: Path, setup: Setup) -> None:
     (tmp_path / "setup.toml").write_text(setup_to_toml(setup), encoding="utf-8")
     assert read_setup(tmp_path / "setup.toml") == setup
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
+@settings(max_examples=60, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
 @given(data=st.data())
 def test_damaged_files_get_one_sentence(folder: Path, data: st.DataObject) -> None:
     file = folder / data.draw(st.sampled_from(["observations.csv", "setup.toml"]))

@@ -14,6 +14,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.tables import cells
+from tests.families import family
 from tests.recordings.samples import outcome, workshop
 
 START = datetime(2026, 3, 4, 8, 15)
@@ -357,7 +358,7 @@ def traverse(axis_to_axis: bool) -> str:
     return lines(names.split(","), body)
 
 
-@pytest.mark.parametrize("axis_to_axis", [True, False])
+@pytest.mark.parametrize("axis_to_axis", family([True, False]))
 def test_heights_beside_readings_between_the_heads_are_not_applied_and_it_is_said(
     tmp_path: Path, axis_to_axis: bool
 ) -> None:

@@ -17,6 +17,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import scenario_to_toml
+from tests.families import family
 
 PROGRAM = Path(__file__).parents[2] / "docs" / "how-to" / "two_faces.py"
 ERRORS = {"vertical-index": -12.0, "beam-tilt": 8.0, "transit-tilt": 5.0}
@@ -51,7 +52,7 @@ def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too
 
 
 def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None:
-    how = {"trials": 12, "seed": 2, "calibrator": two_faces}
+    how = {"trials": 8, "seed": 2, "calibrator": two_faces}
     wide = lt.recover(SCENE, tolerance={"beam-tilt": "2 urad"}, **how)
     assert {check.what for check in wide.checks} == {"convergence", "beam-tilt"} and not wide.failures()
     narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failures()
@@ -152,7 +153,7 @@ def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
         value, sigma, unit = estimates["beam-tilt"]
         return estimates | {"beam-tilt": (value + 0.9 * sigma, sigma, unit)}
 
-    failures = lt.recover(SCENE, trials=30, seed=2, calibrator=shifted).failures()
+    failures = lt.recover(SCENE, trials=20, seed=2, calibrator=shifted).failures()
     assert {(check.what, check.statistic) for check in failures} == {("beam-tilt", "mean z-score")}
 
 
@@ -169,7 +170,7 @@ def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters()
         lt.recover(SCENE, trials=2, calibrator=constant(8.0, 3.0, "mm"))
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", family([1, 2]))
 def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -> None:
     program = tmp_path / "mine.py"
     program.write_text("raise RuntimeError('license server not reachable')")

@@ -21,6 +21,7 @@ from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
 from ltsim.simulation.simulator import measure
+from tests.families import family
 from tests.networks import target_error
 
 COVERED_AT = stats.norm.isf(0.025)
@@ -48,7 +49,7 @@ EVERY_SCENARIO = pytest.mark.parametrize("name", builtin_names())
 
 @EVERY_SCENARIO
 def test_every_built_in_scenario_is_recovered(name: str) -> None:
-    assert [c.sentence() for c in run_recovery(name, 24).failures()] == []
+    assert [c.sentence() for c in run_recovery(name, 12).failures()] == []
 
 
 @pytest.mark.long
@@ -98,7 +99,7 @@ def test_the_paper_chain_recovers_itself() -> None:
     assert [c.sentence() for c in found.failures()] == []
 
 
-@pytest.mark.parametrize("slot", ["transit-offset", "beam-tilt"])
+@pytest.mark.parametrize("slot", family(["transit-offset", "beam-tilt"]))
 def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
     failures = run_recovery("paper-workshop-two-face", 25, construction=flipped(slot)).failures()
     assert slot in {failure.what for failure in failures}
@@ -117,7 +118,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = recovery(*run_trials(noisy, 40, How(), seed=1))
+    result = recovery(*run_trials(noisy, 20, How(), seed=1))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 
@@ -138,7 +139,7 @@ def with_errors(name: str, **errors: float | bool) -> Scenario:
 
 def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, transit_offset=-12.0, draw=True)
-    result = lt.recover(scenario, trials=30, seed=4)
+    result = lt.recover(scenario, trials=15, seed=4)
     assert result.errors == "stated"
     assert [c.sentence() for c in result.failures()] == []
     assert lt.recover(scenario, trials=2, errors="drawn").errors == "drawn"
@@ -149,7 +150,7 @@ def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
 def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
     """A range scale stated 20 prior sigmas large, which the gauge alone tells."""
     scenario = with_errors("paper-workshop-re-aimed", draw=True, range_scale=40.0)
-    failures = lt.recover(scenario, trials=25, seed=4).failures()
+    failures = lt.recover(scenario, trials=15, seed=4).failures()
     assert "range-scale" in {failure.what for failure in failures}
     assert any("coverage" in failure.statistic for failure in failures)
 
@@ -197,7 +198,7 @@ def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
 def test_chance_alone_fails_one_run_in_a_hundred() -> None:
     """Runs of a check on pure normal numbers: the share that fails, against its stated rate."""
     rng = np.random.default_rng(0)
-    runs, count, size = 400, 30, 16
+    runs, count, size = 150, 30, 16
     failed = 0
     for _ in range(runs):
         level = FALSE_ALARM / (3 * size + 3)
@@ -240,8 +241,9 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(errors), np.array(sigmas), np.array(inner)
 
 
-@pytest.mark.parametrize("trials", [40, pytest.param(500, marks=pytest.mark.long)])
-def test_predicted_covariance_is_the_spread_of_repeated_calibrations(trials: int) -> None:
+@pytest.mark.long
+def test_predicted_covariance_is_the_spread_of_repeated_calibrations() -> None:
+    trials = 500
     errors, sigmas, inner = errors_of(trials)
     z = errors / sigmas
     level = 0.001 / z.shape[1]

@@ -86,6 +86,7 @@ def test_a_swap_is_a_swap(recording: Recording) -> None:
     assert np.abs(change_of(recording, made)[recording.station != 0]).max() < 1e-12
 
 
+@pytest.mark.long
 def test_what_is_injected_is_found(recording: Recording) -> None:
     made, truth = lt.inject(recording, "target-moved", noncentrality=400.0, seed=2)
     found = lt.diagnose(made)

@@ -26,6 +26,7 @@ from ltsim.physics.model.construction import misalignment
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
+from tests.families import family
 from tests.networks import Truth, network
 
 CONTROL = ("T01", "T06", "T12", "T24")
@@ -65,7 +66,7 @@ def test_nothing_is_identified_in_a_clean_hall() -> None:
     assert not selection.leads
 
 
-@pytest.mark.parametrize("size", [2e-4, 12.7e-3, 0.4])
+@pytest.mark.parametrize("size", family([2e-4, 12.7e-3, 0.4], 2))
 def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
     recording, truth = hall()
     wrong = shifted(recording, recording.target == 7, 0, size)
@@ -78,13 +79,13 @@ def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
     assert np.allclose(selection.fit.state.points, truth.state.points, atol=1e-4)
 
 
-@pytest.mark.parametrize("size", [2e-4, 17.5e-3, 0.3])
+@pytest.mark.parametrize("size", family([2e-4, 17.5e-3, 0.3]))
 def test_an_offset_of_all_distances_from_a_station(size: float) -> None:
     recording, _ = hall()
     assert the_one(identified(shifted(recording, recording.station == 2, 0, size))) == ("constant-offset", ("S3",), ())
 
 
-@pytest.mark.parametrize("share", [3e-5, 0.01])
+@pytest.mark.parametrize("share", family([3e-5, 0.01]))
 def test_a_scale_error_of_a_station(share: float) -> None:
     recording, _ = hall()
     readings = recording.readings.copy()
@@ -104,7 +105,7 @@ def test_a_reference_point_that_is_off(size: float) -> None:
     assert np.allclose(selection.fit.state.points, truth.state.points, atol=2e-4)
 
 
-@pytest.mark.parametrize("size", [3e-4, 0.02])
+@pytest.mark.parametrize("size", family([3e-4, 0.02]))
 def test_a_station_that_moved_in_mid_work(size: float) -> None:
     recording, truth = hall()
     rows = np.flatnonzero(recording.station == 1)
@@ -127,7 +128,7 @@ def test_a_target_that_moved_between_two_stations() -> None:
     assert the_one(identified(recording.with_readings(recording.readings + change))) == ("target-moved", (), ("T05",))
 
 
-@pytest.mark.parametrize("angle", [1e-3, 0.5])
+@pytest.mark.parametrize("angle", family([1e-3, 0.5]))
 def test_a_circle_that_was_turned_in_mid_work(angle: float) -> None:
     recording, _ = hall()
     rows = np.flatnonzero(recording.station == 0)

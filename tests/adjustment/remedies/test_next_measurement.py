@@ -165,6 +165,7 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
     assert best.remedy.seconds == pytest.approx(45)
 
 
+@pytest.mark.long
 def test_diagnosis_and_plan_give_the_same_advice() -> None:
     """A drift of the ranges that a drift of the air imitates: one question, one answer, whoever is asked."""
     entry = EffectEntry(name="range-drift", values={"range-drift": 6.0})

@@ -16,7 +16,7 @@ CONSTRUCTIONS = {"misalignment": misalignment(), "dh": dh(), "dh-rich": dh(4, 3,
 every = pytest.mark.parametrize("name", CONSTRUCTIONS)
 both = pytest.mark.parametrize("name", ["misalignment", "dh"])
 seeds = st.integers(0, 1000)
-few = settings(max_examples=12)
+few = settings(max_examples=6)
 
 
 def room(seed: int, count: int = 40) -> tuple[Floats, Ints]:
