@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.resection import resected
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import relaxed_references
@@ -106,7 +107,7 @@ class Fit:
         fresh = start is None
         problem, start = cls._problem(network, hypotheses, start, near)
         if fresh:
-            start = robust_state(problem, start)[0]
+            start = resected(problem, robust_state(problem, start)[0])
         whole = drop_undetermined(problem, start)
         fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, ROUNDS))
         if any(isinstance(h.change, NoiseFactor) for h in hypotheses):

@@ -1,0 +1,53 @@
+"""Resection: set-ups of which most readings contradict the network, placed anew by their angles alone.
+
+Ranges that are wrong by the same amount, or in the same ratio, displace a set-up, and all its angles then look as wrong
+as its ranges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment.fitting import Sight, fit_pose
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.core.arrays import Bools, Floats, grouped
+from ltsim.geometry.polar import to_face
+from ltsim.physics.model.measurement import State, lift_of
+from ltsim.solve.design import median_deviation
+
+FAR = 50.0
+"""Residual, in robust standard deviations of all readings, that no noise and no error of an instrument explains."""
+MOST = 0.5
+"""Share of far residuals of a set-up from which its pose is in doubt; with as many of all readings nothing holds it."""
+
+
+def resected(problem: NetworkProblem, state: State) -> State:
+    """State in which set-ups with mostly far residuals stand where their angles say, if these are near then."""
+    recording, far = problem.model.recording, _far(problem, state)
+    if not far.any() or far[problem.use].mean() > MOST:
+        return state
+    lift = lift_of(recording)
+    lift = np.zeros((len(recording), 3)) if lift is None else lift
+    angles = to_face(recording.readings, recording.face) * [np.nan, 1.0, 1.0]
+    for station, rows in grouped(recording.station, np.flatnonzero(problem.use.any(axis=1))):
+        if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
+            continue
+        sight = Sight(angles[rows], np.zeros(len(rows), dtype=bool), lift[rows])
+        pose = fit_pose(sight, state.points[recording.target[rows]])
+        if pose is None:
+            continue
+        position, rotation = state.position.copy(), state.rotation.copy()
+        position[station], rotation[station] = pose
+        moved = replace(state, position=position, rotation=rotation)
+        if _far(problem, moved)[rows].sum() < far[rows].sum():
+            state = moved
+    return state
+
+
+def _far(problem: NetworkProblem, state: State) -> Bools:
+    """Readings (n, 3) in use with far residuals."""
+    whitened: Floats = np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma)
+    scale = max(median_deviation(whitened[problem.use]), 1.0)
+    return np.asarray(problem.use & (np.nan_to_num(whitened) > FAR * scale))
