@@ -212,7 +212,7 @@ def test_what_is_no_request_ends_nothing(raw: bytes, board: Open) -> None:
 def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
     head = f"POST /{board.token}/judged HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nContent-Length: 10\r\n\r\n{{"
     assert board.sent(head.encode(), half=True).split(b"\r\n")[0][-3:] != b"200"
-    assert board.sent(b"POST", half=True) == b""
+    assert b" 200 " not in board.sent(b"POST", half=True)
     with socket.create_connection(("127.0.0.1", board.port)) as drip:  # a byte at a time, before the end of a header
         drip.settimeout(0.1)
         drip.sendall(b"POST / HTTP/1.1\r\nX: ")
