@@ -58,6 +58,11 @@ class Sight:
         """The same rows with their azimuths alone."""
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
+    @property
+    def angles(self) -> Sight:
+        """The same rows without their distances."""
+        return replace(self, readings=np.where([False, True, True], self.readings, np.nan))
+
     def few(self) -> tuple[Ints, Sight]:
         """Subset of at most `ROWS` rows."""
         k = len(self.readings)

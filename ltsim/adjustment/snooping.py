@@ -209,7 +209,7 @@ def snoop_readings(
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
     """
     for _ in range(RELAXATIONS):
-        whitened = _whitened(problem, state)
+        whitened = whitened_readings(problem, state)
         scale = max(median_deviation(whitened[problem.use]), 1e-3)
         state, length = _step(problem, state, np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0)))
         if length < STILL:
@@ -230,7 +230,7 @@ def snoop_readings(
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
                 return reduced, solution
-            size = np.where(rejected, _whitened(problem, state), -1.0)
+            size = np.where(rejected, whitened_readings(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
@@ -247,9 +247,17 @@ def snoop_readings(
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
 
 
-def _whitened(problem: NetworkProblem, state: State) -> Floats:
+def whitened_readings(problem: NetworkProblem, state: State) -> Floats:
     """Residuals (n, 3) in standard deviations of the readings, without sign; 0 where not measured."""
     return np.nan_to_num(np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma))
+
+
+def prediction_spread(problem: NetworkProblem, solution: Solution[State], omitted: Bools) -> Floats:
+    """Standard deviations (k,), over the declared, of the misses of `omitted` (n, 3) readings by their predictions."""
+    assert solution.factor is not None
+    rows = as_dense(problem.linearise(solution.x).design[np.flatnonzero(omitted[problem.use])])
+    response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
+    return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
 
 
 def _tested(
@@ -272,11 +280,9 @@ def _retested(
         new &= w > 0.5 * w.max()
     out, targets = rejected & problem.use, problem.model.recording.target
     if out.any():
-        rows = as_dense(problem.linearise(solution.x).design[np.flatnonzero(rejected[problem.use])])
-        response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
-        spread = np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0))
+        spread = prediction_spread(problem, solution, out)
         still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.unseen), dtype=bool)
-        still[out] = _whitened(problem, solution.x)[out] / spread > limit * scale
+        still[out] = whitened_readings(problem, solution.x)[out] / spread > limit * scale
         alone[targets[np.argwhere(out)[spread > UNPREDICTED, 0]]] = True
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= still | (rejected & reduced.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])

@@ -15,6 +15,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.errors import RecordError
 from ltsim.diagnosis.averaging import averaged_targets
+from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.detectability import DetectabilityReport, detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis, Targets
@@ -102,15 +103,13 @@ def diagnose(
         baseline, use, mistaken = adapted(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
     case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-    beginning = case.space, case.searcher.cards
-    detection, model, fitted = _searched(case, level, compared)
+    beginning, detection, model, fitted = _searched(case, level, compared)
     if selection is not None and model.members:
         restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
             baseline, use, mistaken = adapted(recording, construction, selection, restored=restored)
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
-            beginning = case.space, case.searcher.cards
-            detection, model, fitted = _searched(case, level, compared)
+            beginning, detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
@@ -134,11 +133,14 @@ Compared = Callable[[Adjustment, float], list[Contradiction]]
 """Function from an adjustment and a smallest log evidence to the constants that contradict their reference."""
 
 
-def _searched(case: SelectionState, level: float, compared: Compared) -> tuple[Detection, Model, Refit]:
-    """Detection in the network as it is, the model selected if it is rejected, and its refit."""
+def _searched(
+    case: SelectionState, level: float, compared: Compared
+) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Detection, Model, Refit]:
+    """Space and hypotheses of the network as it is, detection there, the model selected if rejected, and its refit."""
+    beginning = case.space, case.searcher.cards
     detection = detect(case.searcher, case.bank)
     model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
-    return detection, *_refitted(case, model)
+    return beginning, detection, *_refitted(case, model)
 
 
 def _contradicting_constants(

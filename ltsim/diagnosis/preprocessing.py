@@ -49,7 +49,7 @@ def single_errors(fit: Fit) -> Bools:
 
     Several readings of an observable that are off at one station or at one target may follow an effect instead.
     """
-    error = np.abs(fit.prediction_errors)
+    error = np.where(fit.outliers, np.abs(fit.whitened), 0.0) / fit.prediction_spread
     far, single = error > FAR_OUT, fit.is_gross & (error > GROSS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.outliers[:, k], place.max() + 1) for k in range(3)], axis=1)

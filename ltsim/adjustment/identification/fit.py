@@ -22,7 +22,7 @@ from ltsim.adjustment.reference_values import (
     drop_reference,
     reference_values,
 )
-from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, snoop_readings
+from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, prediction_spread, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import robust_state
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -34,7 +34,7 @@ from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import MeasurementModel, State, with_plumb_lines
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import as_dense, median_deviation
+from ltsim.solve.design import median_deviation
 from ltsim.solve.gauss_newton import Solution, solve
 
 DETERMINED = 4.0
@@ -278,16 +278,12 @@ class Fit:
         return self.whole.use & ~self.problem.use
 
     @cached_property
-    def prediction_errors(self) -> Floats:
-        """Outliers (n, 3) less their prediction by the readings in use, over the standard deviation; 0 elsewhere."""
-        if not self.outliers.any():
-            return np.zeros(self.outliers.shape)
-        of_outliers = replace(self.whole, use=self.outliers).linearise(self.state).design[: int(self.outliers.sum())]
-        design = as_dense(of_outliers)
-        predicted = np.einsum("ki,ik->k", design, self.adjustment.factor.covariance_columns(design.T.copy()))
-        errors = np.zeros(self.outliers.shape)
-        errors[self.outliers] = self.whitened[self.outliers] / np.sqrt(1.0 + predicted)
-        return errors
+    def prediction_spread(self) -> Floats:
+        """Standard deviations (n, 3), over the declared, of the misses of the outliers by their predictions; else 1."""
+        spread = np.ones(self.outliers.shape)
+        if self.outliers.any():
+            spread[self.outliers] = prediction_spread(self.whole, self.solution, self.outliers)
+        return spread
 
     def _missed_by(self, value: ReferenceValue) -> float:
         """Miss of an omitted reference value, in its declared standard deviations."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from ltsim.adjustment.fitting import Sight, fit_pose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.core.arrays import Bools, Floats, grouped
+from ltsim.adjustment.snooping import whitened_readings
+from ltsim.core.arrays import Bools, grouped
 from ltsim.geometry.polar import to_face
 from ltsim.physics.model.measurement import State, lift_of
 from ltsim.solve.design import median_deviation
@@ -30,12 +31,12 @@ def resected(problem: NetworkProblem, state: State) -> State:
         return state
     lift = lift_of(recording)
     lift = np.zeros((len(recording), 3)) if lift is None else lift
-    angles = to_face(recording.readings, recording.face) * [np.nan, 1.0, 1.0]
+    front = to_face(recording.readings, recording.face)
     for station, rows in grouped(recording.station, np.flatnonzero(problem.use.any(axis=1))):
         if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
             continue
-        sight = Sight(angles[rows], np.zeros(len(rows), dtype=bool), lift[rows])
-        pose = fit_pose(sight, state.points[recording.target[rows]])
+        sight = Sight(front[rows], recording.is_horizontal[rows], lift[rows])
+        pose = fit_pose(sight.angles, state.points[recording.target[rows]])
         if pose is None:
             continue
         position, rotation = state.position.copy(), state.rotation.copy()
@@ -48,6 +49,6 @@ def resected(problem: NetworkProblem, state: State) -> State:
 
 def _far(problem: NetworkProblem, state: State) -> Bools:
     """Readings (n, 3) in use with far residuals."""
-    whitened: Floats = np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma)
+    whitened = whitened_readings(problem, state)
     scale = max(median_deviation(whitened[problem.use]), 1.0)
-    return np.asarray(problem.use & (np.nan_to_num(whitened) > FAR * scale))
+    return np.asarray(problem.use & (whitened > FAR * scale))

@@ -262,8 +262,8 @@ def _outliers(fit: Fit) -> list[Test]:
     for i, k in at.tolist():
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
-        value, normalised = float(fit.residuals[i, k]), float(fit.prediction_errors[i, k])
-        sigma, drop = abs(value / normalised), normalised**2
+        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * fit.prediction_spread[i, k])
+        drop = (value / sigma) ** 2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
             f"{with_sigma(abs(value) / factor, sigma / factor, unit)}: measure it again."
