@@ -29,14 +29,16 @@ from ltsim.calibration.schema import (
     OutlierRow as OutlierRow,
     ParameterEntry,
     ReferenceValueEntry,
+    ReflectorEntry,
     StationPose as StationPose,
 )
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import format_p, two_sided
-from ltsim.core.results import Column, Result, Table, columns_of
+from ltsim.core.results import Column, Result, Table, columns_of, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -64,6 +66,14 @@ NOISE = Table(
     "noise.csv",
     "noise estimated from the readings",
     columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
+)
+REFLECTORS = Table(
+    "reflectors.csv",
+    "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
+    (
+        *texts(reflector="its name; empty where the recording names none", parameter="as `ltsim effects` lists it"),
+        *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
+    ),
 )
 STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 SHARPER = 0.975
@@ -124,6 +134,7 @@ class Calibration(Result):
     applied_values: Floats | None = None
     """(I, p) [SI]: parameters to apply to readings; None where these are the estimates."""
     effects: tuple[FittedEffectEntry, ...] = ()
+    reflectors: tuple[ReflectorEntry, ...] = ()
     notes: tuple[str, ...] = ()
     tests: tuple[Test, ...] = ()
     recording: SourceEntry | None = None
@@ -223,6 +234,9 @@ class Calibration(Result):
             "outliers": lambda: OUTLIERS.filled(self.outliers),
             "noise": lambda: NOISE.filled(self.noise),
             "reference_values": lambda: REFERENCE_VALUES.filled(self.reference_values),
+            "reflectors": lambda: REFLECTORS.filled(
+                [entry.reflector, p.name, p.value, p.sigma] for entry in self.reflectors for p in entry.parameters
+            ),
         }
         adjustment = self.adjustment
         if adjustment is not None:
@@ -262,6 +276,20 @@ class Calibration(Result):
         return STATIONS.filled(
             [s.name, *s.position_mm, *sigmas] for s, sigmas in zip(self.stations, sigma, strict=True)
         )
+
+    @cached_property
+    def applied_reflectors(self) -> dict[str, Floats]:
+        """Parameters (14,) [SI] of `smr-incidence` to take out of readings, by the reflector's name.
+
+        They are taken out with the instrument's parameters, or not at all.
+        """
+        if not np.any(self.applied):
+            return {}
+        sizes = {entry.reflector: {p.name: p.value for p in entry.parameters} for entry in self.reflectors}
+        return {
+            name: np.array([float(values.get(p.name, 0.0)) * p.factor for p in SmrIncidence.parameters])
+            for name, values in sizes.items()
+        }
 
     @property
     def names(self) -> tuple[str, ...]:

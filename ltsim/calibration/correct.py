@@ -3,11 +3,13 @@
 import numpy as np
 
 from ltsim.adjustment.start import initial_network
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.incidence import incidence_shift
 from ltsim.physics.model.measurement import MeasurementModel, State
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
@@ -46,11 +48,29 @@ def correct(recording: RecordingSource, calibration: CalibrationSource, *, again
     source, corrections = recording_of(recording), calibration_of(calibration)
     if not again and any(source.instrument_of(name).corrected for name in source.stations):
         raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
-    readings = corrected_readings(source, corrections.construction, corrections.values_for(source))
+    values = corrections.values_for(source)
+    readings = corrected_readings(without_incidence_errors(source, corrections), corrections.construction, values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
     marked = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
     return source.replace(setup=setup.model_copy(update=marked), readings=readings)
+
+
+def without_incidence_errors(recording: Recording, calibration: Calibration) -> Recording:
+    """The recording without the incidence errors of reflectors that a calibration estimated.
+
+    They need the nests' directions and a rough network; a recording without them stays as it is.
+    """
+    reflectors = calibration.applied_reflectors
+    model = MeasurementModel(recording, ideal())
+    if not any(error.reflector in reflectors for error in model.incidence):
+        return recording
+    try:
+        (position, rotation, points), _ = initial_network(recording)
+    except NetworkError:
+        return recording
+    sightings = model.sightings(State(position, rotation, points, np.zeros((len(recording.instruments), 0))))
+    return recording.with_readings(recording.readings - incidence_shift(recording, sightings, reflectors))
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:

@@ -89,7 +89,7 @@ def calibrate_distance(
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
-        criteria=result.criteria_of(recording, adjustment, built, values),
+        criteria=result.criteria_of(recording, adjustment, built, values, reflectors=False),
         outliers=result.outliers_of(adjustment),
         undetermined_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
         recording=source,

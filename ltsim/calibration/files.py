@@ -10,11 +10,12 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.events import events
 from ltsim.calibration.history import History
 from ltsim.calibration.history_schema import CalibrationOf, CourseEntry, HistoryFile
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, ReflectorEntry, VerdictEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import with_parameters
 from ltsim.recordings.files import read_text, shown
 from ltsim.recordings.result_file import read_result, write_result
@@ -129,6 +130,7 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         prior_rejected=prior_rejected.reshape(shape),
         history_prior=content.history_prior,
         effects=content.effects,
+        reflectors=_reflectors(content, file),
         correction=content.correction,
         applied_values=None if np.array_equal(applied, values) else applied.reshape(shape),
         fit=content.fit,
@@ -138,6 +140,20 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         recording=content.recording,
         notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
     )
+
+
+def _reflectors(content: CalibrationFile, file: Path) -> tuple[ReflectorEntry, ...]:
+    """The file's reflectors; RecordError where a parameter is none of `smr-incidence` in its unit."""
+    expected = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
+    for entry in content.reflectors:
+        for row in entry.parameters:
+            if row.name not in expected:
+                unknown = unknown_name("parameter of smr-incidence", shown(row.name), tuple(expected))
+                raise RecordError(f"reflectors: {unknown}", file=file)
+            if row.unit != expected[row.name] or isinstance(row.value, str):
+                problem = f"{shown(row.name)} is '{shown(str(row.value))} {shown(row.unit)}'"
+                raise RecordError(f"reflectors: {problem}; expected a number in {expected[row.name]}", file=file)
+    return content.reflectors
 
 
 def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: Sequence[str], file: Path) -> list[int]:

@@ -245,6 +245,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance,
         criteria=result.criteria_of(recording, adjustment, construction, values),
+        reflectors=result.reflectors_of(adjustment),
         outliers=result.outliers_of(adjustment),
         verdict=result.verdict_of(adjustment),
         robust=robust,

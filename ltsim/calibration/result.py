@@ -13,7 +13,16 @@ from ltsim.adjustment.remedies.undetermined import Direction, determining, undet
 from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.combinations import Combination
-from ltsim.calibration.schema import AxesEntry, Fit, NoiseRow, OutlierRow, ReferenceValueEntry, StationPose
+from ltsim.calibration.schema import (
+    AxesEntry,
+    Fit,
+    FittedParameterEntry,
+    NoiseRow,
+    OutlierRow,
+    ReferenceValueEntry,
+    ReflectorEntry,
+    StationPose,
+)
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
@@ -23,6 +32,7 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import quaternion
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
+from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import smr_lift
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
@@ -46,6 +56,22 @@ def fit_of(adjustment: Adjustment) -> Fit:
         sentence=status.value,
         chi2_sigma=None,
     )
+
+
+def reflectors_of(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
+    """Estimated incidence errors of reflectors in fixed nests."""
+    model, covariance = adjustment.problem.model, adjustment.extra_covariance
+    values, units = model.reflectors(adjustment.state.extra), SmrIncidence.parameters
+    entries = []
+    for error, at in zip(model.incidence, model.incidence_columns, strict=True):
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.root, covariance[at, at], error.root))
+        cells = zip(units, values[error.reflector].tolist(), sigma.tolist(), strict=True)
+        parameters = tuple(
+            FittedParameterEntry(name=p.name, value=value / p.factor, sigma=spread / p.factor, unit=p.unit)
+            for p, value, spread in cells
+        )
+        entries.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
+    return tuple(entries)
 
 
 def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
@@ -267,11 +293,12 @@ def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Directio
 
 
 def criteria_of(
-    recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats
+    recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
 ) -> Criteria | None:
     """The paper's criteria without excluded pointings; None where stations cannot be compared.
 
-    Errors of declared size, such as those of reflectors, stay in the readings, where `correct` leaves them.
+    After the correction the readings are free of the effects that were estimated too, and of the incidence errors of
+    `reflectors`, as `correct` takes them out. Other errors of declared size stay in them.
     """
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
     recording = _as_reference_smr(recording, adjustment)
@@ -280,7 +307,9 @@ def criteria_of(
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
-        shift = model.effects_shift(adjustment.sightings, state.extra) if model.effects else None
+        shift = model.effects_shift(adjustment.sightings, state.extra)
+        if reflectors and np.any(values):
+            shift += model.incidence_shift(adjustment.sightings, state.extra)
         return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None

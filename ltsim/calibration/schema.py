@@ -313,6 +313,15 @@ class FittedEffectEntry(Entry):
         return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{tried})"
 
 
+class ReflectorEntry(Entry):
+    """Incidence error of a reflector in fixed nests, estimated with the network."""
+
+    reflector: str = ""
+    """Name of the reflector; empty where the recording names none."""
+    parameters: tuple[FittedParameterEntry, ...]
+    """Parameters of the effect `smr-incidence`."""
+
+
 class CalibrationFile(ResultFile):
     """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
 
@@ -363,6 +372,8 @@ class CalibrationFile(ResultFile):
     """Correction that is worth applying; null where it was not requested."""
     effects: tuple[FittedEffectEntry, ...] = ()
     """Effects that were estimated with the parameters (`--with`)."""
+    reflectors: tuple[ReflectorEntry, ...] = ()
+    """Incidence errors of reflectors in fixed nests."""
     history_prior: bool = False
     """Earlier calibrations were the prior."""
     notes: tuple[str, ...] = ()

@@ -201,7 +201,7 @@ class StackCalibrator(Calibrator):
         except SetupError:
             return np.arange(len(parts))
         status = np.zeros(len(parts), dtype=np.int64)
-        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
+        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status, reflectors=fit.reflectors)
         doubtful = ~fit.converged | suspects(block.deviation, stack.local)
         for trial in np.flatnonzero(~doubtful):
             calibrated.take(int(trial), together, int(trial))

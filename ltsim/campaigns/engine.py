@@ -5,7 +5,7 @@ Where the time of a trial goes (paper's workshop: 420 readings, 130 unknowns, on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,6 +23,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, ideal
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
@@ -51,6 +52,8 @@ class Calibrated:
     """(q, B) [SI]: parameters of further effects; empty for none."""
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """(q, 1) or (q, B) [SI]."""
+    reflectors: Mapping[str, Floats] = field(default_factory=dict)
+    """Parameters (14, B) [SI] of `smr-incidence` of each reflector whose error is estimated, by its name."""
 
     @property
     def estimates(self) -> tuple[Floats, Floats]:
@@ -69,7 +72,8 @@ class Calibrated:
         points = np.full((*truth.state.points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
         lost = np.full(trials, STATUSES.index(FAILED))
-        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
+        reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflectors}
+        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy(), reflectors)
 
     def take(self, trial: int, source: Calibrated, place: int) -> None:
         """Copy one trial from another batch, with its sigmas where each trial has its own."""
@@ -79,6 +83,9 @@ class Calibrated:
             if len(mine):
                 shared = theirs.ndim < mine.ndim
                 mine[..., trial] = theirs if shared else theirs[..., min(place, theirs.shape[-1] - 1)]
+        for name, values in self.reflectors.items():
+            if name in source.reflectors:
+                values[:, trial] = source.reflectors[name][:, place]
 
 
 @dataclass(frozen=True)
@@ -166,6 +173,9 @@ class Single(Calibrator):
             n_extra = len(calibrated.extra)
             calibrated.extra[:, trial] = adjustment.state.extra[:n_extra]
             calibrated.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance)[:n_extra])
+            if self.method == "network":
+                for name, parameters in adjustment.problem.model.reflectors(adjustment.state.extra).items():
+                    calibrated.reflectors[name][:, trial] = parameters
             true = self.truth.state.points
             calibrated.points[:, :, trial] = placed_on(adjustment, true) - true
             calibrated.chi2[trial], calibrated.status[trial] = adjustment.chi2, STATUSES.index(CONVERGED)
@@ -210,7 +220,8 @@ class Engine(Calibrator):
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
         extra_columns = slice(network.sizes[2], network.sizes[2] + len(fit.extra))
         extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
-        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, extra), fit.converged
+        spread = sigma, fit.points, fit.chi2, status, fit.extra, extra
+        return Calibrated(fit.values, *spread, fit.reflectors), fit.converged
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
         """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""

@@ -143,10 +143,13 @@ class Judge:
     ) -> Columns:
         """Columns of a method: criteria and errors after its parameters and the effects that it estimated.
 
-        As in `calibrate` and `evaluate`, errors whose size was known beforehand, of reflectors among them, stay in the
-        readings: the true parameters leave them there too.
+        As in `calibrate` and `evaluate`, the estimated incidence errors of reflectors are taken out too; other errors
+        whose size was known beforehand stay in the readings. The true parameters leave all of them there.
         """
         deviation = block.deviation
+        if estimates.reflectors:
+            deviation = deviation.copy()
+            deviation[:, 0] -= self.truth.incidence_errors(estimates.reflectors)
         if effects:
             deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), estimates.extra)
         calibrated = self.clouds(deviation, construction, estimates.values)

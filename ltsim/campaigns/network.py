@@ -11,6 +11,7 @@ the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -49,6 +50,8 @@ class BatchFit:
     """(I, p, B) [SI]."""
     extra: Floats
     """(q, B) [SI]: of the further effects."""
+    reflectors: Mapping[str, Floats]
+    """Parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
     chi2: Floats
     """(B,)."""
     remainder: Floats
@@ -272,7 +275,8 @@ class BatchNetwork:
                 break
             before = squared
         _, points, values, extra = self.split(x)
-        return BatchFit(points, values, extra[: self.model.effects_size], cost - squared, remainder)
+        effects, reflectors = extra[: self.model.effects_size], self.model.reflectors(extra)
+        return BatchFit(points, values, effects, reflectors, cost - squared, remainder)
 
     @property
     def _has_extra(self) -> bool:

@@ -219,8 +219,7 @@ class ExpectedTruth:
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
         more = np.concatenate([np.zeros(0), *reflectors])
-        first = model.effects_size + sum(len(heads.parameters) for heads in model.heads)
-        columns = np.concatenate([unknowns.instrument.ravel(), unknowns.extra[first : first + len(more)]])
+        columns = np.concatenate([unknowns.instrument.ravel(), *(unknowns.extra[at] for at in model.incidence_columns)])
         free = np.concatenate([~calibration.held.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
         missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)

@@ -6,7 +6,7 @@ are compared. Cells of a grid use the same streams: they differ by their setting
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -20,9 +20,11 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import BLOCK as BLOCK
 from ltsim.geometry.polar import wrap
 from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.recordings.reflectors import smrs_of
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import Draw, EffectLaw, Normal, TrialDraws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
@@ -98,6 +100,23 @@ class CellTruth:
 
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
+
+    @cached_property
+    def reflectors(self) -> dict[str, Bools]:
+        """Mask (n,) of the pointings to each reflector, by its name; '' where none is named."""
+        names = smrs_of(self.recording)
+        return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
+
+    def incidence_errors(self, reflectors: Mapping[str, Floats]) -> Floats:
+        """Range errors (n, B) [m] by parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
+        total = np.zeros((len(self.recording), 1))
+        for name, pointings in self.reflectors.items():
+            if name in reflectors:
+                design, values = self.design_of((SmrIncidence(),))[:, 0], reflectors[name]
+                shared = design.shape[2] == 1  # one geometry for all trials
+                errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
+                total = total + pointings[:, None] * errors
+        return total
 
     @cached_property
     def _chains(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:

@@ -229,8 +229,7 @@ def evaluate(
     before = station_means(recording, measured_points(recording), use)
     after = None
     if construction is not None and values is not None:
-        corrected = recording if shift is None else recording.with_readings(recording.readings - shift)
-        after = station_means(recording, measured_points(corrected, construction, values), use)
+        after = station_means(recording, measured_points(_without(recording, shift), construction, values), use)
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
 
@@ -248,6 +247,11 @@ def evaluate(
         coordinate=compare(coordinate_differences, aligned=True),
         distance_to_first=_to_first(before, after),
     )
+
+
+def _without(recording: Recording, shift: Floats | None) -> Recording:
+    """The recording with a change (n, 3) taken out of its readings."""
+    return recording if shift is None else recording.with_readings(recording.readings - shift)
 
 
 def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
@@ -290,11 +294,13 @@ def verify(
     nominal: dict[str, Floats],
     construction: Construction | None = None,
     values: Floats | None = None,
+    *,
+    shift: Floats | None = None,
 ) -> Criteria:
     """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
 
-    "After" applies parameters (p,) or (n, p) [SI]. Raises NetworkError when a station saw fewer than three nominal
-    targets.
+    "After" applies parameters (p,) or (n, p) [SI] and takes `shift` (n, 3) out of the readings. Raises NetworkError
+    when a station saw fewer than three nominal targets.
     """
     missing = np.full(3, np.nan)
     goal = np.stack([nominal.get(name, missing) for name in recording.targets])
@@ -314,5 +320,5 @@ def verify(
     distance, coordinate = of(measured_points(recording))
     if construction is None or values is None:
         return Criteria(Improvement(distance), Improvement(coordinate))
-    after = of(measured_points(recording, construction, values))
+    after = of(measured_points(_without(recording, shift), construction, values))
     return Criteria(Improvement(distance, after[0]), Improvement(coordinate, after[1]))

@@ -6,7 +6,7 @@ conditions that prior. Parameters are independent standard deviations of what is
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,8 @@ EXACT = 1e-3 * MICROMETRE
 class IncidenceErrors(Signature):
     """The incidence error of one reflector as a sum of k independent errors around what a bench test says of it."""
 
+    reflector: str
+    """Name of the reflector; empty where the recording names none."""
     acts: Floats
     """(n,): 1 for pointings to the reflector, else 0."""
     mean: Floats
@@ -47,6 +49,11 @@ class IncidenceErrors(Signature):
         """Errors, one per unknown, each with a prior of one standard deviation."""
         return (Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),) * self.root.shape[1]
 
+    def law_values(self, values: Floats) -> Floats:
+        """Parameters (p, ...) [SI] of `smr-incidence` at errors (k, ...)."""
+        change: Floats = np.tensordot(self.root, values, 1)
+        return change + self.mean.reshape(-1, *[1] * (change.ndim - 1))
+
     def _by_law(self, sightings: Sightings) -> Floats:
         """Range error (n, p) per unit of each parameter of the law."""
         return LAW.terms(*LAW.incidence(sightings)) * self.acts[:, None]
@@ -57,12 +64,26 @@ class IncidenceErrors(Signature):
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by errors (k,) around the mean."""
-        return on_readings(sightings, distance=self._by_law(sightings) @ (self.mean + self.root @ values))
+        return on_readings(sightings, distance=self._by_law(sightings) @ self.law_values(values))
 
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
     """The incidence error of every reflector that stood in a fixed nest of known direction."""
     return tuple(_incidence_errors(recording))
+
+
+def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapping[str, Floats]) -> Floats:
+    """Change (n, 3) of the readings by the incidence errors of reflectors.
+
+    `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the reflector's name; those that it lacks have no
+    error.
+    """
+    names = np.array(smrs_of(recording))
+    by_law = LAW.design(sightings)
+    change = np.zeros((len(recording), 3))
+    for name, values in reflectors.items():
+        change += np.where((names == name)[:, None], by_law @ values, 0.0)
+    return change
 
 
 def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
@@ -75,7 +96,7 @@ def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
     tests = {test.reflector: test for test in recording.setup.bench}
     for name in dict.fromkeys(names[fixed].tolist()):
         law = conditioned(tests.get(name, tests.get("")))
-        yield IncidenceErrors((fixed & (names == name)).astype(np.float64), *law)
+        yield IncidenceErrors(name, (fixed & (names == name)).astype(np.float64), *law)
 
 
 def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:

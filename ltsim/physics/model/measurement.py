@@ -1,5 +1,6 @@
 """Scene, construction and effects give predicted readings and their derivatives."""
 
+import itertools
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -15,7 +16,7 @@ from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_tur
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors
+from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_shift
 from ltsim.physics.model.nuisances import HeadHeights, head_heights, refraction_of, shared_errors
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
@@ -162,6 +163,18 @@ class MeasurementModel:
         free = any(isinstance(effect, SmrIncidence) and not effect.place for effect in self.effects)
         return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
 
+    @property
+    def incidence_columns(self) -> tuple[slice, ...]:
+        """The values of each of `incidence` among the parameters (q,) beside network and instrument."""
+        first = self.effects_size + sum(len(heads.parameters) for heads in self.heads)
+        ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence)])
+        return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
+
+    def reflectors(self, extra: Floats) -> dict[str, Floats]:
+        """Parameters (p, ...) [SI] of `smr-incidence` of each reflector at values (q, ...), by its name."""
+        columns = zip(self.incidence, self.incidence_columns, strict=True)
+        return {error.reflector: error.law_values(extra[at]) for error, at in columns}
+
     @cached_property
     def nuisances(self) -> tuple[Signature, ...]:
         """Nuisance errors with a prior: heights of heads, reflectors, errors shared by readings, refraction."""
@@ -230,6 +243,10 @@ class MeasurementModel:
     def effects_shift(self, sightings: Sightings, extra: Floats) -> Floats:
         """The same by the further effects alone."""
         return self._shift(self.effects, sightings, extra)
+
+    def incidence_shift(self, sightings: Sightings, extra: Floats) -> Floats:
+        """The same by the incidence errors of reflectors alone."""
+        return incidence_shift(self.recording, sightings, self.reflectors(extra))
 
     def _shift(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) by the first of all that is estimated beside network and instrument."""
