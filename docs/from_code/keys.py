@@ -164,6 +164,8 @@ def _list(entry: dict[str, Any], schema: dict[str, Any]) -> str:
         return f"list of {len(items)}: {values(items[0], schema)}"
     least, most = entry.get("minItems"), entry.get("maxItems")
     count = f"{least} times " if least is not None and least == most else ""
+    if most == 0:
+        return "empty list"
     return f"list of {count}{values(entry['items'], schema)}"
 
 
