@@ -12,11 +12,12 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.prior import FORMS, P_PER_SETUP, P_PIECEWISE
+from ltsim.diagnosis.prior import FORMS, P_PER_SETUP, P_PIECEWISE, P_SWITCHED
 from ltsim.diagnosis.schema import Curve
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
+from ltsim.physics.laws.regressor_library import waves
 from ltsim.scene.sightings import Sightings
 
 MOST_PIECES, EARLY_STOP = 10, 3
@@ -32,6 +33,11 @@ def evaluate_forms(
     whole = log_prior + float(np.log(len(law.driver.spreads)))
     tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
+    switched = (
+        _switched(exact, law, whole + float(np.log(P_SWITCHED * _courses(law, sightings))), base) if pieces else []
+    )
+    whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
+    tried += switched
     each = law.at_each(sightings)
     tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
     tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
@@ -82,6 +88,47 @@ def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -
             best, taken = value, len(chosen)
     refined, value = exact.refine_locally([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
+    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
+
+
+def _courses(law: Law, sightings: Sightings) -> int:
+    """Number of drivers, of which this one is among the best, that a switch may turn out to be: every wave's rate."""
+    return (
+        sum(wave.covariates == law.driver.covariates for wave in waves(sightings)) if law.driver.kind == "wave" else 1
+    )
+
+
+def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
+    """Law that is switched on and off, always by the same amount: intervals are toggled while the evidence rises."""
+    sightings = exact.space.sightings
+    edges = law.edges(sightings)
+    if len(edges) < EARLY_STOP or len(law.targets) == 1:
+        return []
+    ways, count = len(law.carrier.ways), len(edges)
+    gram, score = exact.moments([law.in_pieces(edges)], base)[0]
+    beyond = (sightings.time[:, None] > [edge.constant for edge in edges]).mean(axis=0)
+    sizes = np.sqrt(beyond)  # columns of steps have an rms of one
+    gram = gram.reshape(ways, count, ways, count) * np.outer(sizes, sizes)[:, None, :]
+    score = score.reshape(ways, count) * sizes
+    spans = -np.diff(np.concatenate([[1.0], beyond, [0.0]]))  # share of the pointings before, between and after edges
+    first, last = np.triu_indices(count + 1, 1)
+    span = np.arange(count + 1)
+    intervals = (span > first[:, None]) & (span <= last[:, None])
+    spread = np.full((len(intervals), ways), law.carrier.size)
+    on, states, best, taken, price = intervals[0], [np.zeros(count + 1, dtype=bool)], -np.inf, 0, np.log(len(intervals))
+    while len(states) - 1 < min(taken + EARLY_STOP, MOST_PIECES):
+        tried = states[-1] ^ intervals
+        changes = np.diff(tried.astype(np.float64), axis=1) / np.sqrt(np.maximum(tried @ spans, 1e-12))[:, None]
+        grams = np.einsum("pi,aibj,pj->pab", changes, gram, changes, optimize=True)
+        values = evidence_with(grams, np.einsum("pi,ai->pa", changes, score), spread)
+        values[~tried.any(axis=1)] = -np.inf
+        states.append(tried[best_of(values)])
+        value = float(log_sum_exp(values) - (len(states) - 1) * price)
+        if value > best + TIE:
+            on, best, taken = states[-1], value, len(states) - 1
+    chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
+    refined, value = exact.refine_locally([law.switched(chosen)], base)[0]
+    prior -= float(taken * price)
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
 
 

@@ -50,8 +50,9 @@ AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Weights of what a curve turns out to be, among those that there are: mostly itself, or a short formula."""
-P_PIECEWISE, P_PER_SETUP = 0.1, 0.1
-"""Shares of curves that are made of a few steps and ramps; of laws that every set-up follows in its own way."""
+P_PIECEWISE, P_SWITCHED, P_PER_SETUP = 0.1, 0.1, 0.1
+"""Shares of curves that are made of a few steps and ramps; of courses in time that are switched on and off; of laws
+that every set-up follows in its own way."""
 LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
 other second effect."""

@@ -27,12 +27,13 @@ from ltsim.physics.laws.places import (
 from ltsim.physics.laws.regressor_library import (
     DEPTHS,
     OPERATOR_ODDS,
+    WORK,
     group_drivers,
     is_admissible,
     regressors_of,
     waves,
 )
-from ltsim.physics.laws.regressors import Regressor
+from ltsim.physics.laws.regressors import CLOCKS, Regressor
 from ltsim.physics.laws.responses import ResponseTerm, response_designs
 
 MOST_PLACES = 400
@@ -43,11 +44,13 @@ FINE = 4
 """A curve is fine if a set-up has more pointings per coefficient than this, else coarse."""
 ROOM = 2
 """A law needs this many pointings per coefficient at its place: the adjustment absorbs about half of them."""
-AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag")
+AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of drivers of one instrument, and of one set-up."""
-ONLY = {"product": ("reading",), "passage": ("reading",), "room": ("target",)}
+ONLY = dict.fromkeys(("product", "passage", "lever", "near"), ("reading",)) | {"room": ("target",)}
 """Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
-TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage")
+SWINGS = (*CLOCKS, *WORK)
+"""Covariates of waves of other responses than readings."""
+TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of drivers that several observables follow together: products of curves would have too many coefficients."""
 Drivers = Mapping[str, Sequence[Regressor]]
 
@@ -126,7 +129,7 @@ class _Maker:
                 moved = [d for d in drivers if is_admissible(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
                 depth = DEPTHS[name] + max(together - 1, 0)
                 weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS**depth / carriers
-                self._share(tuple(c for c, _ in carriers_of_kind), moved, places, weight, ways)
+                self._share(tuple(c for c, _ in carriers_of_kind if _passes(name, c)), moved, places, weight, ways)
 
     def _share(
         self,
@@ -138,7 +141,7 @@ class _Maker:
     ) -> None:
         """Share a weight for each carrier evenly among drivers and the places that have room for them."""
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
-        for driver in drivers:
+        for driver in drivers if carriers else ():
             by_shape.setdefault((driver.size, len(driver.spreads)), []).append(driver)
         fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in by_shape}
         count = sum(len(members) * scales * len(fit[k, scales]) for (k, scales), members in by_shape.items())
@@ -177,9 +180,14 @@ class _Maker:
         return batches
 
 
+def _passes(name: str, carrier: ResponseTerm) -> bool:
+    """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
+    return name not in ("passage", "lever") or ("distance" in carrier.observables) == (name == "passage")
+
+
 def _swings(kind: str, wave: Regressor) -> bool:
-    """True if a wave is a candidate for a kind of response: readings with any covariate, others in time."""
-    return kind == "reading" or wave.covariates[0] in ("time", "station-time")
+    """True if a wave is a candidate for a kind of response: readings with any covariate, others with the work done."""
+    return kind == "reading" or wave.covariates[0] in SWINGS
 
 
 def at_noise(carrier: ResponseTerm, weights: Floats) -> ResponseTerm:

@@ -14,7 +14,15 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
-SHAPES = {"xyz": "ball", "xy": "column", "z": "height band", "x": "slab across x", "y": "slab across y"}
+SHAPES = {
+    "xyz": "ball",
+    "xy": "column",
+    "yz": "bar along x",
+    "xz": "bar along y",
+    "z": "height band",
+    "x": "slab across x",
+    "y": "slab across y",
+}
 """Shapes by the axes that confine them."""
 LEAST_STEP, MOST_STEPS = 0.5, 10
 """[m] Smallest distance between the centres that are tried, and largest number of them along an axis (cost)."""
@@ -56,6 +64,26 @@ class Region:
         path: Floats = sightings.derived[self]
         return path
 
+    def lever(self, sightings: Sightings) -> Floats:
+        """Integral (n,) [m] of w times the share of the line of sight beyond.
+
+        Along the line w is a Gaussian about the nearest approach s0: the integral of (d - s) w is (d - s0) times the
+        path less the first moment about s0.
+        """
+        key = self, "lever"
+        if key not in sightings.derived:
+            path = self.path(sightings)[None]
+            sightings.derived[key] = levers(sightings, self.axes, np.array([self.centre]), self.width, path)[0]
+        lever: Floats = sightings.derived[key]
+        return lever
+
+    def nearness(self, sightings: Sightings) -> Floats:
+        """Weight w (n,) at the targets."""
+        at = ["xyz".index(axis) for axis in self.axes]
+        gap = sightings.points[:, at] - np.asarray(self.centre)
+        near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
+        return near
+
     def bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Path (n,) [m] in a ball, and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
 
@@ -82,15 +110,35 @@ class Region:
 
 def paths(sightings: Sightings, axes: str, centres: Floats, width: float) -> Floats:
     """Lengths (r, n) [m] of the lines of sight in regions of one shape and width, with centres (r, k)."""
-    at = ["xyz".index(axis) for axis in axes]
-    beam, length = sightings.unit_vectors[0][:, at], sightings.range_
-    start = sightings.position[sightings.station][:, at] - centres[:, None]
-    a = np.einsum("ni,ni->n", beam, beam)
+    beam, length, start, a, crossing = _lines(sightings, axes, centres)
     path = length * np.exp(-0.5 * np.einsum("rni,rni->rn", start, start) / width**2)
-    crossing = a > PARALLEL
     nearest, rho = _approach(start[:, crossing], beam[crossing], a[crossing])
     path[:, crossing] = _integral(nearest, rho, length[crossing], width / np.sqrt(a[crossing]), width)
     return path
+
+
+def levers(sightings: Sightings, axes: str, centres: Floats, width: float, path: Floats) -> Floats:
+    """Integrals (r, n) [m] of w (d - s) / d along the lines of sight, whose paths (r, n) are known."""
+    beam, length, start, a, crossing = _lines(sightings, axes, centres)
+    lever = 0.5 * path  # a line along a region is in it all the way
+    nearest, rho = _approach(start[:, crossing], beam[crossing], a[crossing])
+    d, variance = length[crossing], width**2 / a[crossing]
+    ends = np.exp(-0.5 * nearest**2 / variance) - np.exp(-0.5 * (d - nearest) ** 2 / variance)
+    moment = variance * ends * np.exp(-0.5 * np.sum(rho**2, axis=-1) / width**2)
+    lever[:, crossing] = ((d - nearest) * path[:, crossing] - moment) / d
+    return lever
+
+
+def _lines(sightings: Sightings, axes: str, centres: Floats) -> tuple[Floats, Floats, Floats, Floats, Bools]:
+    """Lines of sight along some axes: unit vectors (n, k), lengths (n,), starts less centres (r, n, k), |A b|^2 (n,).
+
+    Last, which lines (n,) cross a region, and do not run along it.
+    """
+    at = ["xyz".index(axis) for axis in axes]
+    beam = sightings.unit_vectors[0][:, at]
+    a = np.einsum("ni,ni->n", beam, beam)
+    start = sightings.position[sightings.station][:, at] - centres[:, None]
+    return beam, sightings.range_, start, a, a > PARALLEL
 
 
 def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
@@ -134,9 +182,11 @@ def _regions(sightings: Sightings, axes: str) -> list[Region]:
     centres = np.array(list(product(*grids))).reshape(-1, len(axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
         inside = paths(sightings, axes, part, width)
-        for i in np.flatnonzero(_distinctive(inside > width, sightings)).tolist():
+        chosen = np.flatnonzero(_distinctive(inside > width, sightings))
+        beyond = levers(sightings, axes, part[chosen], width, inside[chosen])
+        for i, lever in zip(chosen.tolist(), beyond, strict=True):
             regions.append(region := Region(axes, tuple(part[i].tolist()), width))
-            sightings.derived[region] = inside[i].copy()
+            sightings.derived[region], sightings.derived[region, "lever"] = inside[i].copy(), lever.copy()
     return regions
 
 

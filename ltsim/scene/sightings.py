@@ -162,14 +162,14 @@ class Sightings:
         return np.argsort(self.time, kind="stable")
 
     @cached_property
-    def _by_set_up(self) -> Ints:
+    def by_set_up(self) -> Ints:
         """(n,) int: row indices, one station after the other, each in the order of the work."""
         return self.order[np.argsort(self.station[self.order], kind="stable")]
 
     @cached_property
     def previous(self) -> Ints:
         """(n,) int: row of the same station's pointing before this one, -1 for its first."""
-        rows = self._by_set_up
+        rows = self.by_set_up
         before = np.full(len(self), -1)
         same = np.diff(self.station[rows]) == 0
         before[rows[1:][same]] = rows[:-1][same]
@@ -177,7 +177,7 @@ class Sightings:
 
     def _summed(self, steps: Floats | Bools) -> Floats:
         """(n,): sum of the steps (n,) since the first pointing of the set-up, whose own does not count."""
-        rows = self._by_set_up
+        rows = self.by_set_up
         first = np.maximum.accumulate(np.where(self.previous[rows] < 0, np.arange(len(rows)), 0))
         sums = np.cumsum(steps[rows], dtype=np.float64)
         sums_by_row = np.empty_like(sums)
@@ -249,6 +249,7 @@ class Sightings:
             "approach-azimuth": self.approach[:, 0],
             "approach-elevation": self.approach[:, 1],
             "wound-azimuth": self.wound,
+            "count": self._summed(came),
             "lapse": np.where(came, self.time - self.time[self.previous], 0.0),
         }
         changing = dict(zip(("distance", "azimuth", "elevation"), zip(last.T, self.move.T, strict=True), strict=True))

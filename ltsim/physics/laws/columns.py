@@ -6,7 +6,7 @@ Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression,
 waves. Several length scales share the columns and differ in the variances; so does a random walk.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import combinations_with_replacement
 
@@ -27,7 +27,7 @@ SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
 """Length scales by number of eigenfunctions: in half-widths of the covariate's range, round a circle in radians."""
 MEMORY = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings."""
-SIMPLE = {
+SIMPLE: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
     "cos": lambda x, k: np.cos(k * x),
@@ -40,6 +40,9 @@ SIMPLE = {
     "decay": lambda x, k: np.exp(-x / k),
     "fading": lambda x, k: np.exp(-np.abs(x) / k),
     "saw": lambda x, k: np.remainder(x / k, 1.0) - 0.5,
+    "slack": lambda x, k: np.sign(x) * np.maximum(np.abs(x) - k, 0.0),
+    "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
+    "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
 HYSTERESIS = "hysteresis"

@@ -17,8 +17,9 @@ from ltsim.physics.effects.signature import Parameter, Tunable
 from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, indicator_columns
 from ltsim.physics.laws.places import LEAST_GROUP
 from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP
-from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, passage, pieces, simple, smooth
+from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, pieces, simple, smooth, switch
 from ltsim.physics.laws.responses import RESPONSES, ResponseTerm
+from ltsim.physics.laws.states import EVERY, FADES, FORGETS
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -32,11 +33,28 @@ OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
 """Kinds of carriers that may do the same at every set-up, each in its own way."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 """Angles of which sines, cosines and tangents are tried."""
+SWITCHED = 60
+"""Times between which a switch is tried."""
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
 nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw")
+SCALED = (
+    "decay",
+    "fading",
+    "relaxing",
+    "saturated",
+    "lagging",
+    "hysteresis",
+    "saw",
+    "slack",
+    "within",
+    "stuck",
+    FADES,
+    FORGETS,
+)
 """Functions and kinds with a constant that is known to a factor at first."""
+THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
+"""Moves of the thresholds of a latch, as shares of the span of its covariate."""
 SAWS = np.array([1.0, 0.5, 0.25, 0.125])
 """Periods of saw teeth over a covariate's span."""
 OF_SPAN = np.array([0.05, 0.15, 0.5])
@@ -118,7 +136,7 @@ class Law(Tunable):
     def centred_at(self, centre: tuple[float, ...]) -> Law:
         """The law with its region elsewhere."""
         region = self.driver.region
-        return self if region is None else replace(self, driver=passage(replace(region, centre=centre)))
+        return self if region is None else replace(self, driver=self.driver.through(replace(region, centre=centre)))
 
     def finer(self, sightings: Sightings) -> list[Law]:
         """Rates between those tried first, edges and constants around one."""
@@ -127,13 +145,25 @@ class Law(Tunable):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if driver.kind == "pieces" and len(driver.factors) <= MOVED:
+        if (driver.kind == "pieces" and len(driver.factors) <= MOVED) or driver.kind == "switch":
             return self._with_moved_pieces(sightings)
         if driver.region is not None:
-            return [replace(self, driver=passage(region)) for region in driver.region.neighbours()]
+            return [replace(self, driver=driver.through(region)) for region in driver.region.neighbours()]
         if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
+        if driver.kind == "latch":
+            return self._with_moved_thresholds(sightings)
+        if driver.function == EVERY:
+            return [replace(self, driver=replace(driver, constant=driver.constant + k)) for k in (-1.0, 1.0)]
         return []
+
+    def _with_moved_thresholds(self, sightings: Sightings) -> list[Law]:
+        """The law with one threshold of its latch elsewhere."""
+        driver = self.driver
+        steps = np.ptp(sightings.quantities[driver.covariates[0]]) * THRESHOLD_STEPS
+        moved = [replace(driver, constant=driver.constant + float(step)) for step in steps]
+        moved += [replace(driver, released=driver.released + float(step)) for step in steps]
+        return [replace(self, driver=d) for d in moved if d.released < d.constant]
 
     def _with_moved_pieces(self, sightings: Sightings) -> list[Law]:
         """The law with one of its steps and ramps at another gap between the values of their covariate."""
@@ -145,7 +175,7 @@ class Law(Tunable):
             for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
                 if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) >= NEAR:
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
-                    laws.append(self.in_pieces([*factors[:i], moved, *factors[i + 1 :]]))
+                    laws.append(self._of_steps([*factors[:i], moved, *factors[i + 1 :]]))
         return laws
 
     def formulas(self, sightings: Sightings) -> list[Law]:
@@ -195,6 +225,21 @@ class Law(Tunable):
         if driver.kind == "product":
             made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
         return replace(self, driver=made, scale=0)
+
+    def _of_steps(self, steps: Sequence[Regressor]) -> Law:
+        return self.switched(steps) if self.driver.kind == "switch" else self.in_pieces(steps)
+
+    def edges(self, sightings: Sightings) -> list[Regressor]:
+        """Times at which something may be switched, where the law follows the clock alone."""
+        if self.driver.covariates != ("time",) or self.driver.kind not in ("smooth", "wave"):
+            return []
+        x = np.unique(sightings.time[self.mask(sightings) > 0])
+        x = x[np.unique(np.linspace(0, len(x) - 1, SWITCHED).round().astype(int))]
+        return [simple("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
+
+    def switched(self, edges: Sequence[Regressor]) -> Law:
+        """The law with a switch in the place of its driver."""
+        return replace(self, driver=switch(edges), scale=0)
 
     def as_constant(self, sightings: Sightings) -> Law:
         """The vertical index in place of an elevation that errs as one.
@@ -259,6 +304,8 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Re
         tried += [("decay", times)] if name in CLOCKS else []
         tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []
         tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
+        tried += [("within", times), ("stuck", times)] if name.startswith("move-") else []
+        tried += [("slack", times)] if name.startswith(("move-", "wound-")) else []
     for function, constants in tried:
         for constant in constants:
             yield simple(name, function, float(constant))

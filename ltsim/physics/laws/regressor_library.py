@@ -16,15 +16,20 @@ from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.regressors import (
     CLOCKS,
     CONSTANT,
+    LEVER,
     Regressor,
     across_the_room,
     amounts,
     base_of,
+    latch,
+    memory,
+    near,
     passage,
     pieces,
     simple,
     smooth,
 )
+from ltsim.physics.laws.states import FADES, INPUTS, latches_of, states_of
 from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
 
@@ -33,16 +38,29 @@ BASE = (*POINTED, "time", "station-time", "height", "bearing", "x", "y")
 _CIRCLES = ("circle", "vertical-circle")
 _NEST = ("incidence", "nest-direction")
 _SIGNS = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
+WORK = ("work-azimuth", "work-elevation")
+"""Ways that the axes have turned since the set-up began."""
 OPERATORS = ("last", "move", "work")
 """The value before, the change since then, the sum of the changes' sizes."""
-PRECEDING = ("wound-azimuth", "lapse", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
+PRECEDING = ("wound-azimuth", "lapse", "count", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
 FOLLOWED = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
 """Covariates of readings, in addition to columns of the recording."""
 _HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in PRECEDING if not n.endswith("distance")))
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),
     "circle": (*CLOCKS, "lapse", *_SIGNS[3:]),
-    "stand": (*CLOCKS, "azimuth", "elevation", "distance", "wound-azimuth", "work-azimuth", "lapse", "last-target"),
+    "stand": (
+        *CLOCKS,
+        "azimuth",
+        "elevation",
+        "distance",
+        "wound-azimuth",
+        "work-azimuth",
+        "work-elevation",
+        "lapse",
+        "count",
+        "last-target",
+    ),
     "target": ("time", "station", "distance", "height", *_SIGNS[3:], *_NEST),
     "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_NEST),
     "air": CLOCKS,
@@ -50,6 +68,8 @@ DRIVES: dict[str, tuple[str, ...]] = {
 """Covariates that each kind of carrier can depend on, in addition to columns of the recording: a wall does not depend
 on the pointing of a tracker; its stand does, for a head is never quite in balance, and the floor gives under whoever
 holds the reflector."""
+PLACES_NEAR = ("xyz", "xy")
+"""Shapes of the regions near which a target may be."""
 DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
 HALF_LOOPS = np.array([0.05, 0.15, 0.3])
@@ -82,6 +102,10 @@ DEPTHS = {
     "amounts": 1,
     "shape": 1,
     "passage": 1,
+    "lever": 1,
+    "near": 1,
+    "latch": 1,
+    "state": 2,
     "room": 1,
     "product": 2,
 }
@@ -130,6 +154,10 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_drivers(s), 2)],
         "shape": [simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS],
         "passage": [passage(region) for region in regions_of(s)],
+        "lever": [passage(region, LEVER) for region in regions_of(s)],
+        "near": [near(region) for region in regions_of(s, PLACES_NEAR)],
+        "state": [memory(*made) for made in states_of(s, _varying(s, INPUTS))],
+        "latch": [latch(*made) for made in latches_of(s, _varying(s, (*POINTED, *columns)))],
         "product": list(products(s)),
     }
 
@@ -197,6 +225,9 @@ def products(sightings: Sightings) -> Iterator[Regressor]:
     for sign in _varying(sightings, _SIGNS[:3]):
         yield from (Regressor("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
     weights = [simple("distance", "power"), simple("elevation", "power")]
+    for name in _varying(sightings, WORK):  # heat that the drives leave
+        fading = [memory(name, how, k) for name, how, k in states_of(sightings, (name,)) if how == FADES]
+        yield from (Regressor("product", factors=(left, weight)) for left in fading for weight in weights)
     weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
     for move in _varying(sightings, [f"move-{name}" for name in POINTED]):
         lengths = (simple(move, how) for how in ("abs", "power"))
@@ -213,7 +244,9 @@ def rates(sightings: Sightings, name: str, most: float) -> Floats:
 
 
 def waves(
-    sightings: Sightings, names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time"), among: int = 1
+    sightings: Sightings,
+    names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time", *WORK),
+    among: int = 1,
 ) -> Iterator[Regressor]:
     """Waves in some quantities, of which each of so many parts has its share of pointings."""
     most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES) / among

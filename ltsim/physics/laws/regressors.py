@@ -25,6 +25,7 @@ from ltsim.physics.laws.columns import (
     indicator_columns,
     unit_rms,
 )
+from ltsim.physics.laws.states import latch as latched, state
 from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
 
@@ -36,6 +37,7 @@ WORDS = {
     "z": "place",
     "station-time": "time",
     "repeat": "time",
+    "count": "time",
     "parity": "approach",
     "seating-parity": "approach",
     "bearing": "azimuth",
@@ -70,10 +72,13 @@ class Regressor:
     ----------
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
-        product, pieces (the sum of steps and ramps of one covariate), lagging (what follows a covariate by and by),
+        product, pieces (the sum of steps and ramps of one covariate), switch (on and off at steps of one covariate, one
+        after the other), lagging (what follows a covariate by and by),
         amounts (another one for each station, instrument, target, or one that was measured before), field (the same
         for all that is carried, growing across the room, and bent), passage (the length of the line of sight in a
-        region of the hall).
+        region of the hall, or with the function `lever` each part of it times its share of the line beyond), near (1 at
+        the middle of a region, less the farther the target is from it), state (what pointings add up, forget and
+        release, `laws.states`), latch (set above `constant`, released below `released`).
     covariates : tuple of str
     function : str
         Of a simple driver.
@@ -85,7 +90,9 @@ class Regressor:
     around : tuple of str
         Targets about whose middle a field grows, or that have amounts of their own; empty for all.
     region : Region, optional
-        Of a passage.
+        Of a passage, or of what is near.
+    released : float
+        Of a latch: the threshold below which it is released.
     """
 
     kind: str
@@ -95,6 +102,7 @@ class Regressor:
     factors: tuple[Regressor, ...] = ()
     around: tuple[str, ...] = ()
     region: Region | None = None
+    released: float = 0.0
 
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
         """Columns (n, k), each of rms about one over the pointings.
@@ -119,6 +127,8 @@ class Regressor:
 
     def _columns(self, sightings: Sightings, moving: bool) -> Floats:
         name = "".join(self.covariates[:1])
+        if self.region is not None:
+            return unit_rms(self._in_region(self.region, sightings)[:, None])
         match self.kind:
             case "constant":
                 return np.ones((len(sightings), 1))
@@ -130,16 +140,31 @@ class Regressor:
                 return field(sightings, self.covariates, self.around, bent=self.constant > 1)
             case "simple":
                 return function(sightings, name, self.function, self.constant)
-            case "passage":
-                assert self.region is not None
-                return unit_rms(self.region.path(sightings)[:, None])
+            case "state" | "latch":
+                return unit_rms(self._remembered(sightings, name)[:, None])
             case "lagging":
                 return first_order_lag(sightings, name, self.constant)
             case "amounts":
                 return indicator_columns(*self._owners(sightings))
+            case "switch":
+                edges = [factor.constant for factor in self.factors]
+                on = np.searchsorted(edges, sightings.quantities[name]) % 2
+                return unit_rms(on.astype(np.float64)[:, None])
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._products(sightings, moving)
+
+    def _remembered(self, sightings: Sightings, name: str) -> Floats:
+        """State or latch (n,) of each set-up."""
+        if self.kind == "latch":
+            return latched(sightings, name, self.constant, self.released)
+        return state(sightings, name, self.function, self.constant)
+
+    def _in_region(self, region: Region, sightings: Sightings) -> Floats:
+        """Path (n,) [m] in a region, its lever [m], or the nearness of the targets."""
+        if self.kind == "near":
+            return region.nearness(sightings)
+        return region.lever(sightings) if self.function == LEVER else region.path(sightings)
 
     def _owners(self, sightings: Sightings) -> tuple[Ints, Ints]:
         """Station, instrument or target (n,) whose amount each pointing has, and those (k,) that have an amount."""
@@ -173,7 +198,7 @@ class Regressor:
     def spreads(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one set a length scale."""
         match self.kind:
-            case "constant" | "simple" | "passage":
+            case "constant" | "simple" | "passage" | "near" | "state" | "latch" | "switch":
                 return (np.ones(1),)
             case "wave" | "lagging":
                 return (np.full(2, np.sqrt(0.5)),)
@@ -192,6 +217,10 @@ class Regressor:
             part = np.append(1.0, part) if factor.kind == "smooth" and not self.is_per_instrument else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
+
+    def through(self, region: Region) -> Regressor:
+        """The driver with another region."""
+        return replace(self, region=region, covariates=tuple(region.axes))
 
     def centred_on(self, targets: tuple[str, ...]) -> Regressor:
         """The driver with the field of some targets in the place of that of the room."""
@@ -233,9 +262,29 @@ def simple(name: str, function: str, constant: float = 1.0) -> Regressor:
     return Regressor("simple", (name,), function, constant)
 
 
-def passage(region: Region) -> Regressor:
-    """A driver that is the length of the line of sight in a region of the hall."""
-    return Regressor("passage", tuple(region.axes), region=region)
+LEVER = "lever"
+"""Function of a passage whose parts turn a line of sight: an angle at a part of the line moves its end by the line
+beyond, so that the direction to the end changes by the share of the line beyond."""
+
+
+def passage(region: Region, function: str = "") -> Regressor:
+    """A driver that is the length of the line of sight in a region of the hall, or its lever."""
+    return Regressor("passage", tuple(region.axes), function, region=region)
+
+
+def near(region: Region) -> Regressor:
+    """A driver that is 1 for targets at the middle of a region, and less the farther they are from it."""
+    return Regressor("near", tuple(region.axes), region=region)
+
+
+def memory(name: str, function: str, constant: float) -> Regressor:
+    """A state of each set-up to which the changes of a quantity add."""
+    return Regressor("state", (name,), function, constant)
+
+
+def latch(name: str, above: float, below: float) -> Regressor:
+    """What is set where a quantity rises above a threshold, and released where it falls below another."""
+    return Regressor("latch", (name,), constant=above, released=below)
 
 
 def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Regressor:
@@ -246,6 +295,11 @@ def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Regressor:
 def pieces(steps: Sequence[Regressor]) -> Regressor:
     """A driver that is the sum of steps and ramps of one covariate, of any sizes."""
     return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
+
+
+def switch(edges: Sequence[Regressor]) -> Regressor:
+    """A driver that is on from the first, third ... of some steps to the next, and off elsewhere."""
+    return Regressor("switch", edges[0].covariates, factors=tuple(edges))
 
 
 def smooth(name: str, modes: int = MODES) -> Regressor:

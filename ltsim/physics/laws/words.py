@@ -1,5 +1,6 @@
 """Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is told can be read."""
 
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,7 +11,19 @@ from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressor_library import FOLLOWED, OPERATORS
-from ltsim.physics.laws.regressors import CLOCKS, PLACE, Regressor, amounts, passage, pieces
+from ltsim.physics.laws.regressors import (
+    CLOCKS,
+    LEVER,
+    PLACE,
+    Regressor,
+    amounts,
+    latch,
+    near,
+    passage,
+    pieces,
+    simple,
+    switch,
+)
 from ltsim.physics.laws.responses import RESPONSES
 from ltsim.recordings.recording import Recording
 from ltsim.scene.regions import SHAPES, Region
@@ -34,6 +47,16 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("field", "", None): "the place in the room",
     ("amounts", "", None): "{x}, another at each",
     ("lagging", "", None): "{x} with a lag of {value}",
+    ("state", "fades", None): "{x} fading with a time constant of {value}",
+    ("state", "forgets", None): "{x} fading over {k} pointings",
+    ("state", "every", None): "{x} since every pointing number {k}",
+    ("state", "after face", None): "{x} since the last change of face",
+    ("state", "after seating", None): "{x} since the last change of target",
+    ("state", "after azimuth", None): "{x} since the azimuth last turned back",
+    ("state", "after elevation", None): "{x} since the elevation last turned back",
+    ("state", "after pause", None): "{x} since the last pause above {value}",
+    ("state", "after slew", None): "{x} since the last move-azimuth above {value}",
+    ("state", "after tip", None): "{x} since the last move-elevation above {value}",
     ("wave", "turn", 1.0): "a wave in {x}, 1 period a turn",
     ("wave", "turn", None): "a wave in {x}, {k} periods a turn",
     ("wave", "period", None): "a wave in {x} with a period of {value}",
@@ -52,6 +75,9 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "relaxing", None): "1 / (1 + {x} / {value})",
     ("simple", "saturated", None): "saturation({x}, half at {value})",
     ("simple", "hysteresis", None): "hysteresis of {x} (half-width {value})",
+    ("simple", "slack", None): "{x} beyond a slack of {value}",
+    ("simple", "within", None): "{x} up to {value}",
+    ("simple", "stuck", None): "the sign of {x} up to {value}",
     ("simple", "saw", None): "a saw tooth in {x} with a period of {value}",
     ("simple", "step", None): "step({x} above {value})",
     ("simple", "ramp", None): "ramp({x} from {value})",
@@ -61,15 +87,30 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """Phrase for a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and value
 a constant, or a wave's period, with its unit."""
-UNIT_OF = {"lagging": "time"}
-"""Covariates whose unit the constant of such a driver has."""
+UNIT_OF = {
+    "lagging": "time",
+    "fades": "time",
+    "after pause": "lapse",
+    "after slew": "move-azimuth",
+    "after tip": "move-elevation",
+}
+"""Covariates whose unit the constant of a driver of such a kind, or with such a function, has."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
 AT_EACH_SET_UP = ", in its own way at each set-up"
 """Said after the driver of a law that has coefficients of its own for each set-up."""
 AT_EACH = ", another at each instrument"
 """Said after the other factor of a product that each instrument has of its own."""
+SWITCH = "a switch of {x}, on from {spans}"
 BETWEEN = {"product": " times ", "pieces": ", "}
+
+
+THROUGH = {
+    ("passage", ""): "the path through",
+    ("passage", LEVER): "the lever of the path through",
+    ("near", ""): "the nearness of targets to",
+}
+"""Phrase before a region, for a kind of driver and its function."""
 
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
@@ -97,14 +138,27 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
     if driver.region is not None:
-        return f"the path through {region_words(driver.region)}"
+        return f"{THROUGH[driver.kind, driver.function]} {region_words(driver.region)}"
+    if driver.kind == "switch":
+        return _switch_words(driver, clock=clock)
+    if driver.kind == "latch":
+        above, below = (value_of(driver.covariates[0], k, clock=clock) for k in (driver.constant, driver.released))
+        return f"a latch of {driver.covariates[0]}, set above {above}, released below {below}"
     name, k, how = "".join(driver.covariates[-1:]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
-    unit = UNIT_OF.get(driver.kind, name)
+    unit = UNIT_OF.get(how, UNIT_OF.get(driver.kind, name))
     value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
     return phrase.format(x=PHRASE_OF.get(name, name), k=f"{k:.4g}", value=value)
+
+
+def _switch_words(driver: Regressor, *, clock: bool) -> str:
+    """A switch in words: the spans in which it is on; the last one may have no end."""
+    name = driver.covariates[0]
+    values = [value_of(name, factor.constant, clock=clock) for factor in driver.factors]
+    spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
+    return SWITCH.format(x=name, spans=", ".join(spans))
 
 
 def region_words(region: Region) -> str:
@@ -123,14 +177,20 @@ EXAMPLES = (
     "a smooth function of circle",
     "face times distance",
     "the path through a ball at x 2 m, y 1 m, z 1.5 m, width 0.5 m",
+    "work-elevation since the last change of face",
+    "a latch of distance, set above 5.2 m, released below 4.1 m",
+    "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
 """Examples of a driver in words."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
 _REGION = re.compile(
-    rf"the path through a (?P<shape>{'|'.join(SHAPES.values())}) at (?P<at>.+), width (?P<width>{_NUMBER}) m"
+    rf"(?P<through>{'|'.join(THROUGH.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
+    rf"at (?P<at>.+), width (?P<width>{_NUMBER}) m"
 )
 _COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
+_LATCH = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
+_SWITCH = re.compile(r"a switch of (?P<x>.+), on from (?P<spans>.+)")
 _STEPS = re.compile(r", (?=step\(|ramp\()")
 
 
@@ -164,13 +224,19 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
         by_instrument = amounts("instrument", len(recording.instruments))
         return Regressor("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), by_instrument))
     if match := _REGION.fullmatch(words):
-        return passage(_read_region(words, match))
+        region = _read_region(words, match)
+        kind, function = next(key for key, through in THROUGH.items() if through == match["through"])
+        return near(region) if kind == "near" else passage(region, function)
     if len(factors) > 1:
         return Regressor("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
         return pieces([read_driver(step, recording) for step in steps])
     further = recording.circumstances
     covariates = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    if match := _SWITCH.fullmatch(words):
+        return _read_switch(words, match, recording)
+    if match := _LATCH.fullmatch(words):
+        return _read_latch(words, match, recording)
     names = {"": ""} | {PHRASE_OF.get(name, name): name for name in (*covariates, *OWNERS)}
     for (kind, how, constant), phrase in PHRASES.items():
         pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
@@ -181,18 +247,45 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
         if name is None or (how == "turn" and not name.endswith(ANGLES)) or (name in OWNERS) != (kind == "amounts"):
             continue
         many = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
-        k = constant or {"smooth": modes, "field": 2.0, "amounts": many}.get(kind, 0.0)
+        k = constant or {"smooth": modes, "field": 2.0, "amounts": many}.get(kind, 1.0 if kind == "state" else 0.0)
         if "k" in groups or "value" in groups:
-            k = _constant(words, UNIT_OF.get(kind, name), groups, recording.has_clock)
+            k = _constant(words, UNIT_OF.get(how, UNIT_OF.get(kind, name)), groups, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power"):
                 raise ModelError(f"'{words}': expected a number above zero")
         along = PLACE if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
-        return Regressor(kind, along, how if kind == "simple" else "", constant)
+        return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
         f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
         f"{', '.join(covariates)}"
     )
+
+
+def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
+    """The switch that some words describe; raises ModelError."""
+    name, edges = match["x"], []
+    ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
+    for text in ends[:-1] if ends[-1] == "the end" else ends:
+        value = re.fullmatch(_GROUPS["value"], text)
+        if value is None or name not in CLOCKS:
+            raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-1]}'")
+        edges.append(simple(name, "step", _constant(words, name, value.groupdict(), recording.has_clock)))
+    if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
+        raise ModelError(f"'{words}': expected times that increase")
+    return switch(edges)
+
+
+def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
+    """The latch that some words describe; raises ModelError."""
+    name, thresholds = match["x"], []
+    for text in (match["above"], match["below"]):
+        value = re.fullmatch(_GROUPS["value"], text)
+        if value is None or name not in {*FOLLOWED, *recording.circumstances}:
+            raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-2]}'")
+        thresholds.append(_constant(words, name, value.groupdict(), recording.has_clock))
+    if thresholds[1] >= thresholds[0]:
+        raise ModelError(f"'{words}': expected a release below the threshold that sets it")
+    return latch(name, thresholds[0], thresholds[1])
 
 
 def _read_region(words: str, match: re.Match[str]) -> Region:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,22 @@ from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import HYSTERESIS, SIMPLE
 from ltsim.physics.laws.regressor_library import FOLLOWED, regressors_of
-from ltsim.physics.laws.regressors import CONSTANT, Regressor, across_the_room, amounts, passage, pieces, simple, smooth
+from ltsim.physics.laws.regressors import (
+    CONSTANT,
+    LEVER,
+    Regressor,
+    across_the_room,
+    amounts,
+    latch,
+    memory,
+    near,
+    passage,
+    pieces,
+    simple,
+    smooth,
+    switch,
+)
+from ltsim.physics.laws.states import EVERY, FADES, FORGETS
 from ltsim.physics.laws.words import EXAMPLES, OWNERS, PHRASE_OF, describe, read_driver, read_law
 from ltsim.recordings import Recording
 from ltsim.scene.regions import SHAPES, Region
@@ -48,7 +64,24 @@ def every() -> list[Regressor]:
     found += [Regressor("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
     found += [simple("press_load_kn", "power").per_target(("T01", "T02", "T04"))]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
-    found += [passage(Region(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35)) for axes in SHAPES]
+    found += [
+        make(Region(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35))
+        for axes in SHAPES
+        for make in (passage, partial(passage, function=LEVER), near)
+    ]
+    found += [simple("move-elevation", how, 0.3) for how in ("slack", "within", "stuck")]
+    found += [memory("work-azimuth", how, 1.0) for how in ("after face", "after seating", "after azimuth")]
+    found += [memory("station-time", "after elevation", 1.0), memory("station-time", "after pause", 90.0)]
+    found += [
+        memory("count", "after slew", 0.5),
+        memory("wound-azimuth", "after tip", 0.25),
+        memory("count", EVERY, 12.0),
+    ]
+    found += [memory("work-elevation", FADES, 300.0), memory("work-distance", FORGETS, 4.0)]
+    found += [latch("distance", 5.2, 4.1), latch("elevation", 0.3, -0.2), latch("hall_temperature_c", 21.5, 20.5)]
+    found += [
+        switch([simple("time", "step", edge) for edge in times]) for times in ((300.0, 900.0), (300.0, 900.0, 1500.0))
+    ]
     found.append(Regressor("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
     return [*found, Regressor("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 
@@ -60,7 +93,8 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
         words = describe(driver, clock=clock)
         read = read_driver(words, recording.replace(has_clock=clock))
         assert describe(read, clock=clock) == words
-        close = replace(read, constant=driver.constant, factors=driver.factors)
+        assert read.released == pytest.approx(driver.released, rel=6e-3)
+        close = replace(read, constant=driver.constant, released=driver.released, factors=driver.factors)
         assert close == driver and read.constant == pytest.approx(driver.constant, rel=6e-3), words
         assert [f.kind for f in read.factors] == [f.kind for f in driver.factors]
 

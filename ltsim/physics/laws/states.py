@@ -1,0 +1,164 @@
+"""States of a set-up: what pointings add up, forget, and lose when something releases it.
+
+In the order of the work of a set-up a state follows s_i = k_i s_(i-1) + u_i. The input u_i is the change of a quantity
+that adds up (the clock, the number of pointings, the ways that the axes have turned); k_i is 1, less than 1 where the
+state fades with time or with the number of pointings, and 0 where an event releases it: a change of face or of the
+target, an axis that turns back, a pause, a long move, every so many pointings. A latch is set where a quantity rises
+above one threshold and released where it falls below another (a relay; Krasnosel'skii and Pokrovskii, Systems with
+hysteresis, 1989).
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.scene.sightings import Sightings
+
+INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
+"""Quantities whose changes add up in a state."""
+EVENTS = ("face", "seating", "azimuth", "elevation")
+"""Changes that release a state: of the face, of the target, of the direction in which an axis turns."""
+LIMITS = ("pause", "slew", "tip")
+"""Quantities of a pointing that release a state where they are above a limit: the time since the pointing before, the
+moves of azimuth and elevation."""
+FADES, FORGETS = "fades", "forgets"
+"""Functions of states that fade with time, and with the number of pointings."""
+EVERY = "every"
+"""Function of states that are released at every so many pointings."""
+QUANTILES = (0.6, 0.8, 0.92)
+"""Limits that are tried, as quantiles of the quantity."""
+SPANS = (0.03, 0.1, 0.3)
+"""Time constants of fading states over the time of a set-up."""
+POINTINGS = (2.0, 4.0, 8.0)
+"""Numbers of pointings in which a state fades by a factor of e."""
+COUNTED = ("station-time", "count")
+"""Inputs of states that are released at every so many pointings."""
+COUNTS = range(3, 31)
+"""Numbers of pointings after which a state is released."""
+LATCHES = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Thresholds of latches that are tried, as quantiles of the quantity."""
+LEAST_RELEASES = 2
+"""Smallest number of releases within set-ups: a state that fewer release is the sum itself."""
+LEAST_SPAN = 1e-6
+"""Smallest span of a state, over that of its input: the noise of readings is no state."""
+State = tuple[str, str, float]
+"""Input, function, and its constant: a limit, a time constant [s], or a number of pointings."""
+
+
+def states_of(sightings: Sightings, inputs: Sequence[str]) -> list[State]:
+    """Every state that is tried with some inputs; their columns are kept with the sightings."""
+    functions = list(_functions(sightings))
+    states = [(name, how, k) for name in inputs for how, k in functions if how != EVERY or name in COUNTED]
+    _keep(sightings, states)
+    least = {name: LEAST_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    return [key for key in states if np.ptp(sightings.derived[key]) > least[key[0]]]
+
+
+def _functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
+    """Releases and kinds of fading that differ in these sightings, with their constants."""
+    stay = float(np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)]))
+    yield from ((FADES, stay * share) for share in SPANS if stay > 0.0)
+    yield from ((FORGETS, number) for number in POINTINGS)
+    offered = [(f"after {name}", 1.0) for name in EVENTS]
+    for name in LIMITS:
+        x = _limited(sightings, name)
+        offered += (
+            [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], QUANTILES))] if x.any() else []
+        )
+    offered += [(EVERY, float(number)) for number in COUNTS]
+    for how, k in offered:
+        releases = int(_released(sightings, how, k).sum())
+        if LEAST_RELEASES <= releases < len(sightings) - len(np.unique(sightings.station)) - LEAST_RELEASES:
+            yield how, k
+
+
+def state(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
+    """A state (n,) about its mean."""
+    key: State = name, how, constant
+    if key not in sightings.derived:
+        _keep(sightings, [key])
+    values: Floats = sightings.derived[key]
+    return values
+
+
+def latch(sightings: Sightings, name: str, above: float, below: float) -> Floats:
+    """1 where a quantity was above one threshold later than below the other, else 0, (n,), about its mean."""
+    x, rows = sightings.quantities[name], sightings.by_set_up
+    event = np.where(x > above, 1.0, np.where(x < below, 0.0, np.nan))[rows]
+    first = sightings.previous[rows] < 0
+    event = np.where(first & np.isnan(event), (x[rows] > 0.5 * (above + below)).astype(np.float64), event)
+    last = np.maximum.accumulate(np.where(np.isnan(event), 0, np.arange(len(rows))))
+    values = np.empty(len(rows))
+    values[rows] = event[last]
+    return values - values.mean()
+
+
+def latches_of(sightings: Sightings, names: Iterable[str]) -> list[tuple[str, float, float]]:
+    """Quantities with pairs of thresholds, the upper one first, between which some pointings lie."""
+    latches = []
+    for name in names:
+        thresholds = np.unique(np.quantile(sightings.quantities[name], LATCHES))
+        latches += [(name, float(above), float(below)) for below, above in combinations(thresholds, 2)]
+    return latches
+
+
+def _limited(sightings: Sightings, name: str) -> Floats:
+    """Quantity (n,) that a limit is set on."""
+    quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[name]
+    return np.abs(sightings.quantities[quantity])
+
+
+def _released(sightings: Sightings, how: str, constant: float) -> Bools:
+    """Pointings (n,) at which a state is released, beside the first of a set-up."""
+    came = sightings.previous >= 0
+    before = np.where(came, sightings.previous, 0)
+    name = how.removeprefix("after ")
+    if how in (FADES, FORGETS):
+        return np.zeros(len(sightings), dtype=bool)
+    if how == EVERY:
+        return came & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
+    if name in LIMITS:
+        return came & (_limited(sightings, name) > constant)
+    changing = {
+        "face": sightings.face,
+        "seating": sightings.target,
+        "azimuth": sightings.approach[:, 0],
+        "elevation": sightings.approach[:, 1],
+    }[name]
+    return np.asarray(came & (changing != changing[before]))
+
+
+def _keep(sightings: Sightings, states: Sequence[State]) -> None:
+    """Work out states (n,) side by side and keep them with the sightings."""
+    rows = sightings.by_set_up
+    inputs = {name: _added(sightings, name)[rows] for name in {name for name, _, _ in states}}
+    factors = {key: _factor(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
+    added = np.stack([inputs[name] for name, _, _ in states], axis=1)
+    factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
+    values = np.empty_like(added)
+    now = np.zeros(len(states))
+    for i in range(len(rows)):
+        now = factor[i] * (now + added[i])
+        values[i] = now
+    values -= values.mean(axis=0)
+    for key, column in zip(states, values.T, strict=True):
+        sightings.derived[key] = np.empty(len(rows))
+        sightings.derived[key][rows] = column
+
+
+def _added(sightings: Sightings, name: str) -> Floats:
+    """Change (n,) of a quantity since the pointing before of the set-up, 0 for its first."""
+    x = sightings.quantities[name]
+    return np.where(sightings.previous >= 0, x - x[sightings.previous], 0.0)
+
+
+def _factor(sightings: Sightings, how: str, constant: float) -> Floats:
+    """What is left (n,) of a state at each pointing: 0 where it is released."""
+    came = (sightings.previous >= 0).astype(np.float64)
+    if how == FADES:
+        return came * np.exp(-sightings.quantities["lapse"] / constant)
+    if how == FORGETS:
+        return came * np.exp(-1.0 / constant)
+    return came * ~_released(sightings, how, constant)

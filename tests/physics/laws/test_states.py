@@ -1,0 +1,128 @@
+"""States that pointings add to, forget and release; latches; switches; levers of regions."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.regressors import latch, simple, switch
+from ltsim.physics.laws.responses import RESPONSES
+from ltsim.physics.laws.states import EVERY, FADES, FORGETS, INPUTS, latches_of, state, states_of
+from ltsim.scene.regions import SHAPES, Region, levers, paths
+from ltsim.scene.sightings import Sightings
+from tests.networks import network
+
+QUADRATURE = 4001
+
+
+@pytest.fixture(scope="module")
+def sightings() -> Sightings:
+    return adjust(network(faces=2, seed=1)[0]).sightings
+
+
+def by_hand(s: Sightings, name: str, how: str, constant: float) -> np.ndarray:
+    """A state pointing by pointing, as it is defined."""
+    x, values = s.quantities[name], np.zeros(len(s))
+    for station in range(len(s.station_names)):
+        rows = [row for row in s.order if s.station[row] == station]
+        now = 0.0
+        for number, (before, row) in enumerate(pairwise(rows), start=1):
+            gap = s.time[row] - s.time[before]
+            released = {
+                "after face": s.face[row] != s.face[before],
+                "after seating": s.target[row] != s.target[before],
+                "after azimuth": s.approach[row, 0] != s.approach[before, 0],
+                "after pause": gap > constant,
+                "after tip": abs(s.quantities["move-elevation"][row]) > constant,
+                EVERY: number % constant == 0,
+            }.get(how, False)
+            left = {FADES: np.exp(-gap / constant), FORGETS: np.exp(-1.0 / constant)}.get(how, 1.0)
+            now = 0.0 if released else left * (now + x[row] - x[before])
+            values[row] = now
+    return values - values.mean()
+
+
+@pytest.mark.parametrize("name", ["station-time", "count", "work-elevation", "wound-azimuth"])
+@pytest.mark.parametrize(
+    ("how", "constant"),
+    [
+        (FADES, 120.0),
+        (FORGETS, 3.0),
+        (EVERY, 7.0),
+        ("after face", 1.0),
+        ("after seating", 1.0),
+        ("after azimuth", 1.0),
+        ("after pause", 25.0),
+        ("after tip", 0.2),
+    ],
+)
+def test_a_state_is_what_its_definition_gives(sightings: Sightings, name: str, how: str, constant: float) -> None:
+    np.testing.assert_allclose(
+        state(sightings, name, how, constant), by_hand(sightings, name, how, constant), atol=1e-9
+    )
+
+
+def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None:
+    tried = states_of(sightings, INPUTS)
+    assert len(set(tried)) == len(tried) > 100
+    columns = np.stack([sightings.derived[key] for key in tried], axis=1)
+    assert np.isfinite(columns).all() and (columns.std(axis=0) > 0.0).all()
+    again = np.stack([by_hand(sightings, *key) for key in tried[::40] if key[1] in (FADES, FORGETS, EVERY)], axis=1)
+    kept = np.stack([sightings.derived[key] for key in tried[::40] if key[1] in (FADES, FORGETS, EVERY)], axis=1)
+    np.testing.assert_allclose(again, kept, atol=1e-9)
+
+
+def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
+    for name, above, below in latches_of(sightings, ("distance", "elevation")):
+        x = sightings.quantities[name]
+        on = latch(name, above, below).columns(sightings)[:, 0] > 0.0
+        assert on[x > above].all() and not on[x < below].any()
+        between = (x <= above) & (x >= below) & (sightings.previous >= 0)
+        np.testing.assert_array_equal(on[between], on[sightings.previous[between]])
+
+
+def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
+    start, end, again = np.quantile(sightings.time, (0.2, 0.5, 0.8))
+    column = switch([simple("time", "step", edge) for edge in (start, end, again)]).columns(sightings)[:, 0]
+    on = ((sightings.time > start) & (sightings.time <= end)) | (sightings.time > again)
+    np.testing.assert_array_equal(column > 0.0, on)
+    assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
+
+
+def test_edges_of_a_switch_move_one_at_a_time(sightings: Sightings) -> None:
+    times = np.quantile(sightings.time, (0.2, 0.5))
+    law = Law(carrier=RESPONSES["distance"][0], driver=switch([simple("time", "step", float(t)) for t in times]))
+    finer = law.finer(sightings)
+    moved = [[f.constant for f in other.driver.factors] for other in finer]
+    assert len(finer) > 4 and all(sum(a != b for a, b in zip(edges, times, strict=True)) <= 1 for edges in moved)
+    assert {other.driver.kind for other in finer} == {"switch"}
+
+
+@pytest.mark.parametrize("axes", SHAPES)
+def test_the_lever_of_a_region_is_its_integral(sightings: Sightings, axes: str) -> None:
+    """Integral of w (d - s) / d along each line of sight by the trapezoidal rule."""
+    middle = sightings.points.mean(axis=0)
+    at = ["xyz".index(axis) for axis in axes]
+    region = Region(axes, tuple((middle[at] + 0.3).tolist()), 0.6)
+    length = sightings.range_
+    s = np.linspace(0.0, 1.0, QUADRATURE)[None] * length[:, None]
+    beam = sightings.unit_vectors[0]
+    places = sightings.position[sightings.station][:, None] + s[:, :, None] * beam[:, None]
+    gap = places[:, :, at] - np.array(region.centre)
+    w = np.exp(-0.5 * np.sum(gap**2, axis=2) / region.width**2)
+    expected = np.trapezoid(w * (1.0 - s / length[:, None]), s, axis=1)
+    np.testing.assert_allclose(region.lever(sightings), expected, rtol=1e-5, atol=1e-6)
+    path = paths(sightings, axes, np.array([region.centre]), region.width)
+    np.testing.assert_allclose(
+        levers(sightings, axes, np.array([region.centre]), region.width, path)[0], expected, rtol=1e-5, atol=1e-6
+    )
+
+
+def test_nearness_falls_with_the_distance_of_the_target(sightings: Sightings) -> None:
+    region = Region("xy", (1.0, 2.0), 0.5)
+    gap = np.hypot(*(sightings.points[sightings.target][:, :2] - (1.0, 2.0)).T)
+    np.testing.assert_allclose(region.nearness(sightings), np.exp(-2.0 * gap**2), atol=1e-12)
