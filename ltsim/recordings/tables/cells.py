@@ -7,6 +7,9 @@ from decimal import Decimal
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
+
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import LONGEST_NUMBER, NUMBER, is_number
 
@@ -27,6 +30,8 @@ _SEXAGESIMAL = re.compile(
 _TO_MINUTES = re.compile(rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES})\s*({_PART})\s*(?:{_MINUTES})()")
 """Degrees with whole minutes and seconds, by marks, colons, hyphens or blanks; with minutes alone, by marks."""
 _PACKED = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
+_DIGITS = re.compile(r"[0-9.+eE-]*")
+"""Characters of decimal numbers."""
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 _ORDERS = ("ymd", "dmy", "mdy")
 _DATE = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
@@ -77,9 +82,17 @@ def number(text: str, grouping: str = "") -> Decimal | None:
     return Decimal(bare) if is_number(bare) else None
 
 
-def are_numbers(texts: Sequence[str]) -> bool:
-    """True if all cells of a column are empty or decimal numbers in plain ASCII."""
-    return max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, filter(None, texts)))
+def plain_numbers(texts: Sequence[str]) -> Floats | None:
+    """Floating-point numbers (n,) of a column, NaN for an empty cell; None unless all are decimals in plain ASCII."""
+    whole = "".join(texts)
+    if max(map(len, texts), default=0) > LONGEST_NUMBER or not _DIGITS.fullmatch(whole):
+        return None
+    if "e" in whole.lower() and not all(map(NUMBER.fullmatch, filter(None, texts))):
+        return None
+    try:
+        return np.array([float(text or "nan") for text in texts], dtype=np.float64)
+    except ValueError:
+        return None
 
 
 def value(text: str, grouping: str = "") -> Decimal | None:

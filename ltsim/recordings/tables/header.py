@@ -10,7 +10,6 @@ from functools import lru_cache
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLES, LENGTHS, NAMED, SMALL_ANGLES
 from ltsim.recordings.files import shown
-from ltsim.recordings.tables.sheets import Row
 
 HORIZONTAL = ("horizontal", "azimuth")
 VERTICAL = ("vertical", "zenith", "elevation")
@@ -106,16 +105,12 @@ class TableColumn:
     parts: tuple[int, ...] = ()
     """Places of the columns with minutes and seconds of an angle whose degrees stand here."""
 
-    def text(self, row: Row) -> str:
-        """Text of the column in a row: its cell, or degrees, minutes and seconds of several as one angle."""
+    def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
+        """Cells of the column in a table by column; degrees, minutes and seconds of several as one angle."""
         if not self.parts:
-            return row.cell(self.place)
-        marked = [
-            row.cell(place) + mark
-            for place, mark in zip((self.place, *self.parts), MARKS, strict=False)
-            if row.cell(place)
-        ]
-        return " ".join(marked)
+            return table[self.place]
+        parts = zip(*(table[place] for place in (self.place, *self.parts)), strict=True)
+        return [" ".join(cell + mark for cell, mark in zip(row, MARKS, strict=False) if cell) for row in parts]
 
     @property
     def is_further(self) -> bool:

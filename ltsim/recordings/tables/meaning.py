@@ -6,12 +6,10 @@ a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; az
 coordinates of a tracker, counter-clockwise. An azimuth with a zenith angle can be either and needs a hint.
 """
 
-import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from decimal import Decimal
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +37,8 @@ from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE,
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exactly
 from ltsim.recordings.transcription_errors import SHORTEST_MM
 
-FULL, QUARTER = Decimal(360), Decimal(90)
+FULL, QUARTER = 360, 90
+"""[deg] Whole turn and right angle."""
 TALL_M = (0.2, 3.0)
 """[m] Range of heights of instruments and targets over their marks, which distinguishes metres from millimetres."""
 AMBIGUOUS_MM = 1000.0
@@ -65,21 +64,19 @@ class ColumnInterpretation:
 
     def readings(self, printed: PrintedPointings) -> Floats:
         """Raw ranges [m], azimuths, elevations [rad] (n, 3), in the numbers that a native file would hold."""
-        turns, upward = (
-            partial(operator.mul, ratio(unit, "deg")) for unit in (self.horizontal_unit, self.vertical_unit)
-        )
-        azimuth = (lambda turn: _counter_clockwise(turns(turn))) if self.azimuth == "clockwise" else turns
-        zenith = self.vertical == "zenith"
+        clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
-        def elevation(number: Decimal) -> Decimal:
-            up = QUARTER - upward(number) if zenith else upward(number)
-            return up + FULL if up < -QUARTER else up
+        def azimuth(turn: Any, degree: Any) -> Any:
+            return -turn % (FULL * degree) if clockwise else turn
 
-        scale, lengths = ratio(self.length_unit, "mm"), printed.of(DISTANCE)
+        def elevation(rise: Any, degree: Any) -> Any:
+            up = QUARTER * degree - rise if zenith else rise
+            return np.where(up < -QUARTER * degree, up + FULL * degree, up)
+
         polar = [
-            as_floats(lengths) if scale == 1 else exactly(lengths, partial(operator.mul, scale)),
-            exactly(printed.of(HORIZONTAL), azimuth),
-            exactly(printed.of(VERTICAL), elevation),
+            exactly(printed.of(DISTANCE), ratio(self.length_unit, "mm")),
+            exactly(printed.of(HORIZONTAL), ratio(self.horizontal_unit, "deg"), azimuth),
+            exactly(printed.of(VERTICAL), ratio(self.vertical_unit, "deg"), elevation),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
@@ -88,12 +85,6 @@ class ColumnInterpretation:
         return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
             role, self.length_unit
         )
-
-
-def _counter_clockwise(turn: Decimal) -> Decimal:
-    """[deg] The azimuth of a clockwise circle, from 0 to 360."""
-    back = -turn % FULL
-    return back + FULL if back < 0 else back
 
 
 def readings_of(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal
+from decimal import MAX_PREC, Decimal, localcontext
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,6 +23,10 @@ from ltsim.recordings.tables.header import PLACE, READINGS, TableColumn
 Digits = NDArray[np.bytes_]
 """Numbers (n,) as decimal digits in ASCII; empty where nothing is printed."""
 T = TypeVar("T")
+EXACT = 2**51
+"""Size up to which a product of floating-point numbers rounds to the integer that is meant."""
+LARGEST_TURN = 720.0
+"""[deg] Size of sums of angles."""
 BLOCK = 8192
 """Rows that are converted together: what lies between text and columns takes memory for so many rows alone."""
 
@@ -47,17 +51,36 @@ def as_decimals(digits: Digits) -> Iterator[Decimal | None]:
             yield Decimal(text) if text else None
 
 
-def exactly(digits: Digits, function: Callable[[Decimal], Decimal]) -> Floats:
-    """The nearest floating-point numbers (n,) to a function of the exact numbers; NaN where nothing is printed."""
+def exactly(
+    digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
+) -> Floats:
+    """The nearest floating-point numbers (n,) to a function of products with a factor; NaN where nothing is printed.
+
+    The function takes the products as integers (n,), whose unit is their last digit, and the integer that is 1.0.
+    """
     values = np.full(len(digits), np.nan)
     filled = digits != b""
-    values[filled] = list(map(float, map(function, map(Decimal, digits[filled].astype(np.str_).tolist()))))
+    exponent = factor.as_tuple().exponent
+    multiplier = int(factor.scaleb(-int(exponent))) * 10 ** max(int(exponent), 0)
+    places = max(int(decimal_places(digits[filled]).max(initial=0)), 0)
+    unit = 10 ** (places + max(-int(exponent), 0))
+    values[filled] = function(_integers(digits[filled], places, multiplier, unit), unit) / unit
     return values
+
+
+def _integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
+    """Products (n,) of numbers without their decimal point and a multiplier: of 64 bits where floats hold them all."""
+    values = as_floats(digits)
+    if unit * multiplier * int(np.abs(values).max(initial=LARGEST_TURN)) < EXACT:
+        return np.rint(values * 10**places).astype(np.int64) * multiplier
+    with localcontext(prec=MAX_PREC):
+        whole = [int(number.scaleb(places)) * multiplier for number in as_decimals(digits) if number is not None]
+    return np.array([*whole, None])[:-1]  # of Python's integers, which an array of them alone would cut
 
 
 def decimal_places(digits: Digits) -> Ints:
     """Place of the last digit (n,) behind the decimal point; negative where it stands before it."""
-    if np.any(np.char.find(np.char.lower(digits), b"e") >= 0):
+    if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in as_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
     return np.where(point < 0, 0, np.char.str_len(digits) - point - 1)

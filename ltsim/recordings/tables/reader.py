@@ -19,7 +19,7 @@ from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recordings.tables.instruments import instrument_of, is_total_station
 from ltsim.recordings.tables.meaning import ColumnInterpretation, readings_of, sigmas_of_places
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_digits, as_floats, codes
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, codes
 from ltsim.recordings.tables.rows import header_of, table_of
 from ltsim.recordings.tables.setups import (
     common_names,
@@ -61,8 +61,9 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
     by_rows = "the order of the rows stands for the time"
     if not all(texts):
         return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
-    if cells.are_numbers(texts):
-        return (as_floats(as_digits(texts)) * FACTOR[column.unit or "s"]).tolist(), "", []
+    values = cells.plain_numbers(texts)
+    if values is not None:
+        return (values * FACTOR[column.unit or "s"]).tolist(), "", []
     numbers = [cells.number(text) for text in texts]
     if all(number is not None for number in numbers):
         factor = FACTOR[column.unit or "s"]
@@ -239,8 +240,9 @@ def _covariate(column: TableColumn, printed: PrintedPointings, meaning: ColumnIn
     texts = printed.further.get(column.title, [])
     if not any(texts):
         return None
-    if cells.are_numbers(texts) and not any(printed.grouping):
-        return as_floats(as_digits(texts)) * _factor(column, meaning)
+    values = cells.plain_numbers(texts) if not any(printed.grouping) else None
+    if values is not None:
+        return values * _factor(column, meaning)
     numbers = np.full(len(texts), NAN)
     for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=True)):
         if text:

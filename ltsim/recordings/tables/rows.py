@@ -1,8 +1,10 @@
 """Pointings as printed, from rows of text: headers, blocks of a station, free text; runs of rows become columns."""
 
+from __future__ import annotations
+
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from sys import intern
 
@@ -28,11 +30,34 @@ from ltsim.recordings.tables.header import (
     role_of,
     words_of,
 )
-from ltsim.recordings.tables.printed import BLOCK, Digits, PointingTable, PrintedPointings, as_digits, as_floats, joined
+from ltsim.recordings.tables.printed import BLOCK, Digits, PointingTable, PrintedPointings, as_digits, joined
 from ltsim.recordings.tables.sheets import Row, Sheet
 
 LARGEST = 10**9
 """Numbers of readings lie below it in size, in whatever unit."""
+
+
+@dataclass
+class Run:
+    """Rows below one header, column by column: line, cells, and the station of the block, which rows may not name."""
+
+    line: list[int] = field(default_factory=list)
+    fields: list[tuple[str, ...]] = field(default_factory=list)
+    station: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def add(self, row: Row, station: str) -> None:
+        """Append a row."""
+        self.line.append(row.line)
+        self.fields.append(row.fields)
+        self.station.append(station)
+
+    def each(self) -> Iterator[Run]:
+        """Runs of one row each."""
+        for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
+            yield Run([line], [fields], [station])
 
 
 class RunReader:
@@ -44,79 +69,75 @@ class RunReader:
         self.nameless = False
         self.marked: set[str] = set()
 
-    def read(self, run: Sequence[tuple[Row, str]]) -> PrintedPointings:
+    def read(self, run: Run) -> PrintedPointings:
         """Pointings of rows, each with the station of its block where its row names none.
 
         Raises RecordError for a cell that is wrong: of one row for the first of its cells, of several for any of them.
         """
-        rows, width = [row for row, _ in run], len(self.columns)
-        padded = [row.fields if len(row.fields) == width else _padded(row.fields, width) for row in rows]
+        width = len(self.columns)
+        padded = [fields if len(fields) == width else _padded(fields, width) for fields in run.fields]
         table = list(zip(*padded, strict=True))
-        stations = [station for _, station in run]
         if self.faces == (0,):
-            return self._of_face(0, rows, table, stations)
-        both = joined([self._of_face(face, rows, table, stations) for face in self.faces])
+            return self._of_face(0, run, table)
+        both = joined([self._of_face(face, run, table) for face in self.faces])
         angles = both.of((*HORIZONTAL, *VERTICAL)) != b""
-        by_row = np.arange(2 * len(rows)).reshape(2, -1).T.ravel()
+        by_row = np.arange(2 * len(run)).reshape(2, -1).T.ravel()
         return both.take(by_row[angles[by_row]].tolist())
 
-    def _of_face(
-        self, face: int, rows: Sequence[Row], table: Sequence[Sequence[str]], stations: Sequence[str]
-    ) -> PrintedPointings:
+    def _of_face(self, face: int, run: Run, table: Sequence[Sequence[str]]) -> PrintedPointings:
         """Pointings, one per row: the columns of one face (0: of the only one) and those of both."""
         columns = [c for c in self.columns if c.face in (0, face)]
         text = {c.role: table[c.place] for c in reversed(columns) if c.role}
-        nothing = ("",) * len(rows)
-        named = [name or block for name, block in zip(text.get("station", nothing), stations, strict=True)]
+        nothing = ("",) * len(run)
+        named = [name or block for name, block in zip(text.get("station", nothing), run.station, strict=True)]
         self.nameless |= "" in named
-        faces = self._faces(text["face"], rows) if "face" in text else [0] * len(rows)
+        faces = self._faces(text["face"], run.line) if "face" in text else [0] * len(run)
         numbers: dict[str, Digits] = {}
         for c in columns:
             if c.role in READINGS:
-                digits = self._numbers([c.text(row) for row in rows] if c.parts else table[c.place], c, rows)
+                digits = self._numbers(c.texts(table), c, run.line)
                 filled = digits != b""
                 if filled.any():
                     before = numbers.get(c.role)
                     numbers[c.role] = digits if before is None else np.where(filled, digits, before)
-        further = {c.title: self._texts(table[c.place], rows) for c in columns if c.is_further}
+        further = {c.title: self._texts(table[c.place], run.line) for c in columns if c.is_further}
         return PrintedPointings(
-            [self.sheet.file] * len(rows),
-            [row.line for row in rows],
+            [self.sheet.file] * len(run),
+            run.line,
             [intern(name or "S1") for name in named],
             list(map(intern, text.get("target", nothing))),
-            [face] * len(rows) if face else faces,
+            [face] * len(run) if face else faces,
             _both(text.get("date"), text.get("time")) or [*nothing],
             _both(text.get("date"), text.get("round")) or [*nothing],
-            [self.sheet.grouping] * len(rows),
+            [self.sheet.grouping] * len(run),
             numbers,
             further,
         )
 
-    def _faces(self, texts: Sequence[str], rows: Sequence[Row]) -> list[int]:
+    def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
         """Faces as stated; 0 for an empty cell."""
         faces = {text: cells.face(text) if text else 0 for text in {*texts}}
-        for text, row in zip(texts, rows, strict=True) if None in faces.values() else ():
+        for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
-                raise self._place(row).error(f"found '{shown(text)}', expected 1 or 2", "face")
+                raise self._place(line).error(f"found '{shown(text)}', expected 1 or 2", "face")
         return [faces[text] or 0 for text in texts]
 
-    def _numbers(self, texts: Sequence[str], column: TableColumn, rows: Sequence[Row]) -> Digits:
+    def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
         """Digits (n,) of a column of readings: its cells where all are plain numbers, otherwise each cell converted."""
-        if column.unit != "dms" and not self.sheet.grouping and cells.are_numbers(texts):
-            digits = as_digits(texts)
-            values = as_floats(digits)
-            if not np.any(np.abs(values) >= LARGEST) and not (column.role in DISTANCE and np.any(values <= 0)):
-                return digits
-        converted = [self._number(text, column, row) if text else "" for text, row in zip(texts, rows, strict=True)]
+        values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.grouping else None
+        least = 0.0 if column.role in DISTANCE else -np.inf
+        if values is not None and not np.any((np.abs(values) >= LARGEST) | (values <= least)):
+            return as_digits(texts)
+        converted = [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
         if not column.unit and any(map(cells.is_marked, texts)):
             self.marked.add(column.title)
         return as_digits(converted)
 
-    def _number(self, text: str, column: TableColumn, row: Row) -> str:
+    def _number(self, text: str, column: TableColumn, line: int) -> str:
         """Digits of one cell."""
         packed = column.unit == "dms"
         number = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
-        where = self._place(row)
+        where = self._place(line)
         if packed and number is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise where.error(f"found '{shown(text)}', expected {what}", shown(column.title))
@@ -127,17 +148,17 @@ class RunReader:
             raise where.error(what, shown(column.title))
         return str(number)
 
-    def _texts(self, texts: Sequence[str], rows: Sequence[Row]) -> list[str]:
+    def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
         """Cells of a further column; equal ones are one object where many are."""
         distinct = dict.fromkeys(texts)
         whole = "".join(distinct)
         if not whole.isprintable() or "<" in whole or ">" in whole or max(map(len, distinct)) > MAX_TEXT:
-            for text, row in zip(texts, rows, strict=True):
-                self._place(row).text(text)
+            for text, line in zip(texts, lines, strict=True):
+                self._place(line).text(text)
         return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
 
-    def _place(self, row: Row) -> SourceLocation:
-        return SourceLocation(self.sheet.file, row.line)
+    def _place(self, line: int) -> SourceLocation:
+        return SourceLocation(self.sheet.file, line)
 
 
 def _padded(fields: Sequence[str], width: int) -> Sequence[str]:
@@ -213,8 +234,8 @@ class _SheetReader:
         self.columns: list[TableColumn] = []
         self.wanted: list[int] = []
         self.headers = 0
-        self.run: list[tuple[Row, str]] = []
-        """Rows of pointings that are not converted yet, each with the station of its block."""
+        self.run = Run()
+        """Rows of pointings that are not converted yet."""
 
     def read(self, start: int) -> PointingTable:
         """The rows below the header in row `start`; -1 counts columns."""
@@ -295,18 +316,18 @@ class _SheetReader:
             self._convert()
             message = f"{len(row.fields)} fields, expected {width} as in the header"
             raise SourceLocation(self.sheet.file, row.line).error(message)
-        self.run.append((row, self.station))
+        self.run.add(row, self.station)
 
     def _convert(self) -> None:
         """Turn the rows since the last header into columns at once; where that fails, one by one to name the first."""
-        run, self.run = self.run, []
-        if not run:
+        run, self.run = self.run, Run()
+        if not len(run):
             return
         reader = RunReader(self.sheet, self.columns)
         try:
             converted = [reader.read(run)]
         except RecordError:
-            converted = [reader.read([pair]) for pair in run]
+            converted = [reader.read(row) for row in run.each()]
         self.table.nameless |= reader.nameless
         self.table.marked |= reader.marked
         self.parts.append(joined(converted))
