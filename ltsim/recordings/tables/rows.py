@@ -293,9 +293,9 @@ class _SheetReader:
 
     def _is_measured(self, row: Row) -> bool:
         """True if a cell of a reading holds a value: in a pointing the first one does as a rule."""
+        fields = row.fields
         for place in self.wanted:
-            cell = row.cell(place)
-            if is_number(cell) or cells.is_value(cell):
+            if place < len(fields) and (is_number(fields[place]) or cells.is_value(fields[place])):
                 return True
         return False
 
@@ -309,7 +309,7 @@ class _SheetReader:
             self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _pointing(self, row: Row) -> None:
-        if len(self.run) == BLOCK:
+        if len(self.run.line) == BLOCK:
             self._convert()
         width = len(self.columns)
         if len(row.fields) > width and any(row.fields[width:]):
@@ -321,7 +321,7 @@ class _SheetReader:
     def _convert(self) -> None:
         """Turn the rows since the last header into columns at once; where that fails, one by one to name the first."""
         run, self.run = self.run, Run()
-        if not len(run):
+        if not run.line:
             return
         reader = RunReader(self.sheet, self.columns)
         try:

@@ -73,7 +73,7 @@ class TextRows(Sequence[Row]):
         return starmap(self._row, self._lines)
 
     def _row(self, number: int, line: str) -> Row:
-        if line.lstrip().startswith("#"):
+        if "#" in line and line.lstrip().startswith("#"):
             return Row(number, _split(line.lstrip().lstrip("#"), self._separator), comment=True)
         return Row(number, _split(line, self._separator))
 
