@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -196,3 +197,32 @@ def test_headers_of_office_programs(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.time, [0, 60, 120, 180])
     np.testing.assert_allclose(found.heights()[0], 1.552)
     np.testing.assert_allclose(found.covariates["target_height_mm"], [1300, 1400, 1300, 1400])
+
+
+ONE_ROW = {
+    "station,target,Hz[deg],zenith[deg],distance[mm]\nS1,T1,10,BAD,3000\n": "zenith[deg]",
+    "station,target,azimuth[deg],elevation[deg],distance[mm]\nS1,T1,10,BAD,3000": "elevation[deg]",
+    "Punkt;Hz[gon];V[gon];SD[m]\nP1;10,5;80,25;BAD\n": "SD[m]",
+    "station\ttarget\tx[mm]\ty[mm]\tz[mm]\nS1\tT1\t5\tBAD\t7\n": "y[mm]",
+    "Station Punkt Hz V Strecke\nS1 P1 10.5 BAD 3000\n": "V",
+    "station,target,face,Hz[deg],zenith[deg],distance[mm]\nS1,T1,BAD,10,80,3000\n": "face",
+    "station,target,Hz1[deg],V1[deg],D1[mm],Hz2[deg],V2[deg],D2[mm]\nS1,T1,1,80,3000,181,BAD,3000\n": "V2[deg]",
+}
+"""Tables of one row, and the column whose cell is wrong."""
+
+
+@pytest.mark.parametrize(("text", "column"), ONE_ROW.items())
+def test_a_bad_cell_of_the_only_row_is_named(text: str, column: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text.replace("BAD", "abc"))
+    with pytest.raises(RecordError, match=rf"a\.csv, row 2, column {re.escape(column)}: found 'abc', expected "):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("text", [text for text in ONE_ROW if "," in text or ";" in text or "\t" in text])
+def test_a_table_without_readings_says_so(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text.split("\n")[0] + "\n")
+    with pytest.raises(RecordError, match=r"a\.csv: holds no pointings below its header"):
+        read(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text("station,target,Hz[deg],zenith[deg],distance[mm]\nS1,T1,a,b,c\n")
+    with pytest.raises(RecordError, match=r"b\.csv: holds no pointings: line 2 of b\.csv \('S1 T1 a b c'\) has no numb"):
+        read(tmp_path / "b.csv")

@@ -138,15 +138,16 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     """
     fit = beginning = _beginning(network)
     last: Looked | None = None
+    required: list[Hypothesis] = []
     while len(fit.hypotheses) < MOST and not _agrees(fit):
         tried = _fitted(fit)
         needed = least if not _misfit(fit) else AMONG_MISFIT
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
-        chosen = _without_needless(tried[0][1], least, len(beginning.hypotheses))
+        chosen = _without_needless(tried[0][1], least, len(beginning.hypotheses), required)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _judged_again(fit, least, beginning, last)
+    return _judged_again(fit, least, beginning, last, required)
 
 
 def _misfit(fit: Fit) -> bool:
@@ -234,30 +235,36 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
     return best
 
 
-def _without_needless(fit: Fit, least: float, first: int) -> Fit:
+def _without_needless(fit: Fit, least: float, first: int, required: list[Hypothesis]) -> Fit:
     """The fit without hypotheses that the last one leaves nothing to explain.
 
     Of the `first`, with which the fit began, only omitted reference values are tried: without the others is no network.
+    Nor is one without those `required`, to which each hypothesis is added that shows to be such.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
-        if i < first and not isinstance(h.change, Omission):
+        if (i < first and not isinstance(h.change, Omission)) or not h.competes(fit.hypotheses[-1]):
             continue
-        rest = _less(fit, h) if h.competes(fit.hypotheses[-1]) else None
+        rest = _less(fit, h, required)
         if rest is not None and rest.log_evidence > fit.log_evidence - least:
             fit = rest
     return fit
 
 
-def _less(fit: Fit, hypothesis: Hypothesis) -> Fit | None:
-    """The fit without one of its hypotheses."""
+def _less(fit: Fit, hypothesis: Hypothesis, required: list[Hypothesis]) -> Fit | None:
+    """The fit without one of its hypotheses; None, and an entry in `required`, where there is no network without it."""
+    if any(h is hypothesis for h in required):
+        return None
     others = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        return Fit.of(fit.network, others, replace(fit.state, extra=np.zeros(0)))
+        rest = Fit.of(fit.network, others, replace(fit.state, extra=np.zeros(0)))
     except LtsimError:
-        return None
+        rest = None
+    if rest is None:
+        required.append(hypothesis)
+    return rest
 
 
-def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None) -> Selection:
+def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None, required: list[Hypothesis]) -> Selection:
     """Every chosen hypothesis beside the others: what it gains, and what in its place would; the better one stays.
 
     Those of the `beginning` have no network without them. `last` is what was fitted beside all but the last one.
@@ -265,7 +272,7 @@ def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None) -
     choices = [Choice(h, np.inf, ()) for h in fit.hypotheses if h in beginning.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
         is_last = last is not None and h is fit.hypotheses[-1] and last[0].hypotheses == fit.hypotheses[:-1]
-        rest = last[0] if last is not None and is_last else _less(fit, h)
+        rest = last[0] if last is not None and is_last else _less(fit, h, required)
         if rest is None:
             choices.append(Choice(h, np.inf, ()))
             continue
@@ -273,7 +280,7 @@ def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None) -
         tried = last[1] if last is not None and is_last else _fitted(rest, gain - ALTERNATIVE, h)
         others = [(other, made) for other, made in tried if other.place != h.place]
         if others and others[0][1].log_evidence > fit.log_evidence + least:
-            return _judged_again(others[0][1], least, beginning, None)
+            return _judged_again(others[0][1], least, beginning, None, required)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(Choice(h, gain, gains))
     return Selection(fit, tuple(sorted(choices, key=lambda c: -c.gain)))

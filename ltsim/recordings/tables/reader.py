@@ -87,19 +87,19 @@ HEADS_SIGMA_MM = 1.0
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if this is a folder of tables, a workbook, or text of three columns and more with numbers in them."""
+    """True if this is a folder of tables, a workbook, or text with a header of readings, or with columns of numbers."""
     if path.is_dir():
         return is_folder(path)
     if head.startswith(WORKBOOK.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
     if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False
-    rows = rows_of_head("\n".join(head.splitlines()[:-1]))  # the last line may be cut
+    rows = rows_of_head(head if head.endswith("\n") else "\n".join(head.splitlines()[:-1]))  # the last may be cut
     headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
     if headers and names_places(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
     measured = sum(row.values > 1 and len(row.fields) > 2 for row in rows)
-    return measured > 0 and (bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows)))
+    return bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows))
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:

@@ -197,7 +197,8 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
         elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
             raise RecordError(unnamed(sheet, partial(_serves, sheet, hints)), file=sheet.file)
     if not any(map(len, parts)):
-        raise RecordError("holds no pointings", file=file)
+        unread = f": {whole.unread[0]} has no number where its header names readings" if whole.unread else ""
+        raise RecordError(f"holds no pointings{unread or ' below its header'}", file=file)
     whole.pointings = joined(parts)
     whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
     return whole
