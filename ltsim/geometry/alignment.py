@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, median
 from ltsim.core.errors import NetworkError
 
 ROBUST_PASSES = 8
@@ -89,7 +89,7 @@ def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
             best, total = tried, size
     for _ in range(ROBUST_PASSES):
         miss = _misses(source, goal, best)
-        floor = max(1e-5, 0.5 * float(np.median(miss)))
+        floor = max(1e-5, 0.5 * median(miss))
         best = align(source, goal, 1.0 / np.maximum(miss, floor))
         if miss.max() < OUTLYING * floor:
             break

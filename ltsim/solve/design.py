@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints, median
 
 DENSE = 600_000
 """Designs with fewer entries are dense: sparse bookkeeping would cost more than the zeros."""
@@ -117,4 +117,4 @@ NORMAL_MEDIAN = 0.6744897501960817
 
 def median_deviation(values: Floats) -> float:
     """Standard deviation estimated from the median of absolute values; 0 for none."""
-    return float(np.median(np.abs(values))) / NORMAL_MEDIAN if len(values) else 0.0
+    return median(np.abs(values)) / NORMAL_MEDIAN if len(values) else 0.0

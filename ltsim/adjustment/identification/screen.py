@@ -19,7 +19,7 @@ from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, 
 from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints, median
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.solve.gauss_newton import solve
 
@@ -185,12 +185,12 @@ def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Float
         return -np.inf, shift
     if unit.shape[1] == 1:
         ratio = r[out] / np.where(unit[out, 0] != 0.0, unit[out, 0], 1.0)
-        a = np.array([np.median(ratio)])
+        a = np.array([median(ratio)])
     else:
         a = np.linalg.lstsq(unit[out], r[out], rcond=1e-10)[0]
         for _ in range(STEPS):
             e = np.abs(r - unit @ a)
-            w = 1.0 / np.sqrt(np.maximum(e / max(1.5 * float(np.median(e)), 1.0), 1.0))
+            w = 1.0 / np.sqrt(np.maximum(e / max(1.5 * median(e), 1.0), 1.0))
             a = np.linalg.lstsq(unit * w[:, None], r * w, rcond=1e-10)[0]
     for _ in range(2):
         fits = 0.5 * (r - unit @ a) ** 2 < price

@@ -9,6 +9,7 @@ it (a rotation).
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -81,17 +82,21 @@ def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
 
 
 def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
-    """Point (n, 3) [m] that raw readings (n, 3) describe; `errors` gives (n,) amounts by slot."""
-    p = np.zeros((len(raw), 3))
+    """Point (n, 3) [m] that raw readings (n, 3) describe; `errors` gives amounts (n,), or one for all, by slot."""
+    p: list[Any] = [0.0, 0.0, 0.0]  # coordinates apart from each other, whose arrays are contiguous
     for motion in reversed(chain):
         amount = _amount(motion, raw, errors)
         if amount is None:
             continue
         if isinstance(motion, Shift):
-            p[:, motion.axis] += amount
-        else:
-            _turn(motion.axis, amount, p)
-    return p
+            p[motion.axis] = p[motion.axis] + amount
+            continue
+        i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
+        c, s = np.cos(amount), np.sin(amount)
+        p[i], p[j] = c * p[i] - s * p[j], s * p[i] + c * p[j]
+    points = np.empty((len(raw), 3))
+    points[:, 0], points[:, 1], points[:, 2] = p
+    return points
 
 
 def point_and_derivatives(

@@ -96,8 +96,12 @@ class Construction:
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not unity]
 
     def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
-        """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
-        return self._amounts(self.bases(raw), values)
+        """Amount (n,), or one for all, added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
+        amounts: dict[str, Floats] = {}
+        for term, value in zip(self.terms, values.T, strict=True):
+            amount = value if term.basis is unity else term.basis(raw) * value
+            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
+        return amounts
 
     def _amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
         amounts: dict[str, Floats] = {}
