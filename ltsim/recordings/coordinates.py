@@ -20,6 +20,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
+from ltsim.core.results import guarded, plain
 from ltsim.core.units import FACTOR, MILLIMETRE
 from ltsim.recordings.files import SourceLocation, decoded, shown
 from ltsim.recordings.tables import cells
@@ -206,7 +207,7 @@ class _List:
             if text and (number is None or abs(number) >= 10**11):
                 raise where.error(f"found '{shown(text)}', expected a number", shown(column.title or role))
             values.append(np.nan if number is None else float(number))
-        return where.name(row.cell(self.name.place), "point"), values
+        return where.name(plain(row.cell(self.name.place)), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factor of each number to metres (square metres for covariances), and notes on decisions."""
@@ -351,8 +352,9 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """The content of ``NAME.covariance.csv``: a covariance [m^2] of coordinates such as ``TARGET.x``, in mm^2."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["", *coordinates])
-    for name, row in zip(coordinates, covariance / MILLIMETRE**2, strict=True):
+    names = list(map(guarded, coordinates))
+    writer.writerow(["", *names])
+    for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
     return stream.getvalue()
 
@@ -361,9 +363,9 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
     """The entries of a covariance, its coordinates by name in any order."""
     sheet = sheets_of(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.comment]
-    names = first.fields[1:]
+    names = list(map(plain, first.fields[1:]))
     missing = [name for name in wanted if name not in names]
-    if missing or [row.fields[0] for row in body] != list(names):
+    if missing or [plain(row.fields[0]) for row in body] != names:
         what = f"the coordinate {shown(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):

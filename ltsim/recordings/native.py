@@ -112,7 +112,7 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
     """A recording of the header and rows of its table; `folder` is named in errors."""
     file = folder / OBSERVATIONS
-    header = rows[0]
+    header = list(map(plain, rows[0]))
     _check_header(header, file)
     columns = {name: list(map(plain, column)) for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)}
     stations, station = indices(columns["station"], "station", file)
@@ -324,7 +324,7 @@ def table_of(recording: Recording) -> list[list[str]]:
     columns["distance_mm"] = _texts(polar[:, 0], MILLIMETRE, 6)
     columns |= {name: _texts(values) for name, values in recording.covariates.items()}
     columns |= {name: [guarded(text) for text in labels] for name, labels in recording.labels.items()}
-    return [list(columns), *(list(row) for row in zip(*columns.values(), strict=True))]
+    return [list(map(guarded, columns)), *(list(row) for row in zip(*columns.values(), strict=True))]
 
 
 def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:

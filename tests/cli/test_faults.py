@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import subprocess
@@ -9,12 +10,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ltsim.cli import effects, terminal
 from ltsim.cli.main import run
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings import read, write
+from ltsim.recordings.files import is_number
 from ltsim.recordings.setup import Setup
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -156,11 +159,35 @@ def test_a_report_goes_on_past_a_folder_that_cannot_be_read(capsys: pytest.Captu
     assert "is not JSON" in page and "140 pointings" in page
 
 
-def test_names_that_begin_as_formulas_survive_a_recording(tmp_path: Path) -> None:
+FORMULAS = ("=", "+", "-", "@")
+
+
+def formulas(folder: Path) -> list[str]:
+    """Cells of all CSV files below a folder that a spreadsheet takes for formulas."""
+    rows = [row for file in sorted(folder.rglob("*.csv")) for row in csv.reader(file.open())]
+    return [cell for row in rows for cell in row if cell.startswith(FORMULAS) and not is_number(cell)]
+
+
+def test_names_that_begin_as_formulas_are_no_formulas_in_any_table_and_are_read_back(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
     whole, _ = simulate(load_scenario("paper-workshop"), 1)
-    names = ("=A1", "+1", "-x", "@y", "'=z", "a,b", *whole.targets[6:])
-    renamed = whole.replace(targets=names, setup=Setup())
-    write(renamed, tmp_path / "rec")
-    assert set(read(tmp_path / "rec").targets) == set(names)
-    cells = (tmp_path / "rec" / "observations.csv").read_text().replace('"', "").split(",")
-    assert not [cell for cell in cells if cell.startswith(("=", "+", "@"))]
+    targets = ("=A1", "+1", "-x", "@y", "'=z", "a,b", *whole.targets[6:])
+    stations = ("=S1", "+S2", "-S3", "@S4", *whole.stations[4:])
+    count = np.arange(len(whole), dtype=np.float64)
+    given = whole.replace(
+        targets=targets,
+        stations=stations,
+        setup=Setup(),
+        covariates={"=count": count},
+        labels={"@note": ("=1+1",) * len(whole)},
+    )
+    write(given, tmp_path / "rec")
+    again = read(tmp_path / "rec")
+    assert {*again.targets} == {*targets} and {*again.stations} == {*stations}
+    assert {*again.covariates} == {"=count"} and again.labels == {"@note": ("=1+1",) * len(whole)}
+    assert run(["adjust", "rec", "--out", "adjusted", "-q"]) == 0
+    assert run(["compare", "adjusted/targets.csv", "adjusted/targets.csv", "-q", "--out", "compared"]) == 0
+    assert len(list(tmp_path.rglob("*.csv"))) > 3
+    assert formulas(tmp_path) == []
