@@ -164,7 +164,7 @@ FORMULAS = ("=", "+", "-", "@")
 
 def formulas(folder: Path) -> list[str]:
     """Cells of all CSV files below a folder that a spreadsheet takes for formulas."""
-    rows = [row for file in sorted(folder.rglob("*.csv")) for row in csv.reader(file.open())]
+    rows = [row for file in sorted(folder.rglob("*.csv")) for row in csv.reader(file.read_text().splitlines())]
     return [cell for row in rows for cell in row if cell.startswith(FORMULAS) and not is_number(cell)]
 
 
