@@ -41,11 +41,12 @@ WAIT = 0.2
 """Time [s] between two checks for Ctrl-C."""
 HEADERS = {
     "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""HTTP headers of every answer, which keep answer and address private."""
+"""HTTP headers of every answer, which keep answer and address private and the page out of the frames of others."""
 Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 

@@ -20,6 +20,7 @@ from ltsim.reports.board import server
 from ltsim.reports.board.board import Board
 from ltsim.reports.board.server import MOST_BYTES, MOST_CONNECTIONS, BoardAccess
 from tests.planning.test_hall import HALL, points_csv
+from tests.reports.browser import FLAGS, find_browser
 
 START = (
     "import signal; signal.signal(2, signal.default_int_handler); from ltsim.reports.board import server; "
@@ -102,6 +103,48 @@ def test_the_page_and_its_questions_are_answered(board: Open) -> None:
     assert board.request("judged", board.own, Origin=origin)[0] == 200
     named = f"localhost:{board.port}"
     assert board.request("judged", board.own, Host=named, Origin=f"http://{named}")[0] == 200
+
+
+ATTACK = """<body><p id="seen"></p><script>
+const tell = (way) => { document.getElementById("seen").textContent += way + " "; };
+const got = (way, answer) => answer.then(() => tell(way), () => {});
+got("fetch", fetch("ADDRESS"));
+got("save", fetch("ADDRESSsave", {method: "POST", body: QUESTION}));
+got("guess", fetch("http://127.0.0.1:PORT/guess/"));
+for (const kind of ["img", "script"]) {
+  const element = document.createElement(kind);
+  element.onload = () => tell(kind);
+  element.src = "ADDRESS";
+  document.body.append(element);
+}
+const socket = new WebSocket("ws://127.0.0.1:PORT/TOKEN/");
+socket.onopen = () => tell("socket");
+fetch("ADDRESSsave", {method: "POST", mode: "no-cors", body: QUESTION}).finally(() => tell("done"));
+</script></body>"""
+
+
+def test_no_page_of_another_origin_frames_the_board(board: Open) -> None:
+    raw = board.sent(f"GET /{board.token}/ HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\n\r\n".encode())
+    assert b"\r\nContent-Security-Policy: frame-ancestors 'none'\r\n" in raw.partition(b"\r\n\r\n")[0] + b"\r\n"
+
+
+@pytest.mark.long
+def test_a_page_in_the_same_browser_that_knows_the_token_reads_and_saves_nothing(board: Open, tmp_path: Path) -> None:
+    browser = find_browser()
+    page = ATTACK.replace("ADDRESS", f"http://127.0.0.1:{board.port}/{board.token}/").replace("PORT", str(board.port))
+    page = page.replace("TOKEN", board.token).replace("QUESTION", json.dumps(board.own.decode()))
+    (tmp_path / "evil.html").write_text(page)
+    command = [
+        browser,
+        *FLAGS,
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--dump-dom",
+        (tmp_path / "evil.html").as_uri(),
+    ]
+    seen = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False).stdout
+    assert '<p id="seen">done </p>' in seen
+    assert not board.folder.exists()
+    assert board.lives
 
 
 FOREIGN = (
