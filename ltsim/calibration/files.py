@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.joint import COVARIANCE, covariance_csv
+from ltsim.adjustment.joint import COVARIANCE
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.events import events
 from ltsim.calibration.history import History
 from ltsim.calibration.history_schema import CalibrationOf, CourseEntry, HistoryFile
+from ltsim.calibration.reported import joint_csv
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, ReflectorEntry, VerdictEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name
@@ -37,7 +38,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile
     texts = {TARGETS.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
         texts[RESIDUALS.file] = calibration.table("residuals").csv()
-        covariance = covariance_csv(calibration.adjustment)
+        covariance = joint_csv(calibration)
         texts |= {} if covariance is None else {COVARIANCE: covariance}
     return write_result(folder, calibration_file(calibration), texts)
 

@@ -5,9 +5,11 @@ from itertools import groupby
 
 import numpy as np
 
+from ltsim.adjustment.unmodelled import counted_air, longest_sight
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
+from ltsim.physics.effects.air import air_words
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.plan_entries import PlannedParameterEntry
@@ -105,11 +107,12 @@ def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
 
 def _air(plan: PlannedNetwork) -> list[str]:
     """Uncertainty of the air that the figures include."""
-    survey = plan.chosen.survey
-    if survey.air is None:
+    adjustment = plan.chosen.information.adjustment
+    air = counted_air(adjustment)
+    if air is None:
         return []
-    longest = float(np.linalg.norm(survey.position[:, None] - survey.points, axis=2)[survey.visible].max())
-    return [f"All point errors include the {survey.air.words(longest)}; change it as [air] of the plan."]
+    words = air_words(air, longest_sight(adjustment))
+    return [f"All point errors include the {words}; change it as [air] of the plan."]
 
 
 def _against_reference(plan: PlannedNetwork) -> list[str]:
