@@ -229,7 +229,8 @@ class Calibration(Result):
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
         if self.correction is not None and self.correction.uncorrected_um > 0:
-            lines += [self.correction.line, *self.correction.sentences]
+            promised = self.uncertainty_factor == 1.0
+            lines += [*([self.correction.line] if promised else []), *self.correction.sentences]
         return [*lines, *uncertainty_sentences(self), *self.notes]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

@@ -139,7 +139,11 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         frame=content.frame,
         stations=(),
         recording=content.recording,
-        notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
+        uncertainty_factor=content.uncertainty_factor,
+        notes=(
+            *_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
+            *_rejected(content, file),
+        ),
     )
 
 
@@ -172,6 +176,16 @@ def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: 
             problem = f"parameters: '{shown(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
     return at
+
+
+def _rejected(content: CalibrationFile, file: Path) -> tuple[str, ...]:
+    """Warning about a calibration whose fit was rejected; empty for others."""
+    if content.uncertainty_factor == 1.0:
+        return ()
+    return (
+        f"{file}: the readings of this calibration contradict its model (sigma0 = {content.uncertainty_factor:.3g}); "
+        "another cause may be in its parameters: run ltsim diagnose on its recording before you use them",
+    )
 
 
 def _missing(names: list[str], file: Path) -> tuple[str, ...]:

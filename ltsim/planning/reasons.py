@@ -1,5 +1,6 @@
 """Reasons for a plan: sentences, each with its number."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
 
@@ -18,6 +19,8 @@ from ltsim.planning.site import MOST_NAMED, too_near, words_of
 from ltsim.planning.tolerances import against, keeps, loss_sentences
 from ltsim.planning.workshop import objective_of
 
+GAIN = " (gain "
+"""Text before the gain that a measurement gives; a sentence without it names no measurement."""
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
@@ -271,13 +274,15 @@ def _reference_value(plan: PlannedNetwork) -> float:
 
 
 def _undetermined(plan: PlannedNetwork) -> list[str]:
+    """Number of undetermined combinations of parameters, and the measurement that determines most of them."""
     information = plan.chosen.information
-    sentences = []
-    for direction, cure in zip(information.undetermined, information.cures(), strict=True):
-        terms = " ".join(f"{v:+.2f} {n}" for n, v in direction.coefficients(information.construction.names).items())
-        remedy = f"; to determine it, {cure}" if cure else ""
-        sentences.append(f"The layout does not determine {terms} (gain {direction.gain:.2f}){remedy}.")
-    return sentences
+    count = len(information.undetermined)
+    if not count:
+        return []
+    which = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
+    measured = Counter(cure.partition(GAIN)[0] for cure in information.cures() if GAIN in cure)
+    cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
+    return [f"{which} not determined by this layout (see the table){cure}."]
 
 
 def _search(plan: PlannedNetwork) -> list[str]:

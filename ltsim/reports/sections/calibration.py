@@ -81,7 +81,12 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     first = _parameters(content, truth_of(context)) if content.parameters else []
     fits = _reference_values(content)
     ahead = fits if any(entry.excluded for entry in content.reference_values) else []
-    blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
+    blocks: list[Block] = [
+        *_warnings(content, converged=converged, agrees=agrees),
+        *ahead,
+        *first[:1],
+        *_criteria(content),
+    ]
     blocks += product if good else []  # coordinates of a rejected fit are in the details
     shown = len(blocks) + 1
     if targets is not None and content.stations:
@@ -174,14 +179,14 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
-    if content.correction is not None and content.correction.uncorrected_um > 0:
+    if agrees and content.correction is not None and content.correction.uncorrected_um > 0:
         expected = f"{number(content.correction.point_errors_um[1], 3)} um"
         facts.append(Fact("expected 3D error of a new point, corrected", expected))
     return facts
 
 
-def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
-    """Blocks of warnings: failed convergence, outliers, estimated noise."""
+def _warnings(content: CalibrationFile, *, converged: bool, agrees: bool) -> list[Block]:
+    """Blocks of warnings: failed convergence, outliers, estimated noise. A rejected fit promises no benefit."""
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
@@ -190,8 +195,8 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     lines = uncertainty_sentences(content)
     blocks += [Notes("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        lines = [content.correction.line, *content.correction.sentences]
-        blocks.append(Notes("Benefit of the calibration", [sentence(line) for line in lines]))
+        lines = [*([content.correction.line] if agrees else []), *content.correction.sentences]
+        blocks += [Notes("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))

@@ -242,7 +242,7 @@ def history_section(content: HistoryFile, _: ReportContext) -> Section:
         Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],
-              note="If sigma0 is far above 1, the sigmas are too small and changes appear too significant."),
+              note="Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."),
     ]  # fmt: skip
     facts = [
         Fact("calibrations", str(len(labels))),
