@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,13 +19,14 @@ from ltsim.adjustment.unmodelled import (
 )
 from ltsim.adjustment.verdict import Verdict
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.schema import Fit, FittedEffectEntry, StationPose
+from ltsim.calibration.schema import Fit, FittedEffectEntry, ReflectorEntry, StationPose
 from ltsim.calibration.uncertainty import HiddenError
 from ltsim.core.arrays import Floats
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_words
 
+FittedT = TypeVar("FittedT", FittedEffectEntry, ReflectorEntry)
 MATTERS = 0.2
 """An error that no reading shows is reported from this share of the targets' rms standard deviation on."""
 
@@ -53,7 +55,8 @@ def reported(calibration: Calibration) -> Calibration:
         covariance=_scaled_parameters(calibration, factor),
         target_covariance=covariance,
         stations=tuple(_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)),
-        effects=tuple(_effect(effect, factor) for effect in calibration.effects),
+        effects=tuple(_fitted(effect, factor) for effect in calibration.effects),
+        reflectors=tuple(_fitted(reflector, factor) for reflector in calibration.reflectors),
         constants_included=bool(calibration.names) or adjustment.recording.is_corrected,
         uncertainty_factor=factor,
         air=_air_words(adjustment),
@@ -106,12 +109,12 @@ def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
     return pose.model_copy(update=sizes)
 
 
-def _effect(effect: FittedEffectEntry, factor: float) -> FittedEffectEntry:
-    """A fitted effect with its standard deviations multiplied by a factor."""
+def _fitted(entry: FittedT, factor: float) -> FittedT:
+    """An entry of fitted parameters with their standard deviations multiplied by a factor."""
     parameters = tuple(
-        p if p.sigma is None else p.model_copy(update={"sigma": factor * p.sigma}) for p in effect.parameters
+        p if p.sigma is None else p.model_copy(update={"sigma": factor * p.sigma}) for p in entry.parameters
     )
-    return effect.model_copy(update={"parameters": parameters})
+    return entry.model_copy(update={"parameters": parameters})
 
 
 def _hidden(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:

@@ -10,7 +10,7 @@ from scipy import special
 from ltsim.adjustment.evaluation.criteria import CriterionEntry
 from ltsim.adjustment.identification.tests import Test
 from ltsim.calibration.combinations import Combination, DeterminedEntry
-from ltsim.calibration.uncertainty import HiddenError
+from ltsim.calibration.uncertainty import UncertaintyEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number, with_sigma
 from ltsim.core.probability import format_p
@@ -328,7 +328,7 @@ class ReflectorEntry(Entry):
     """Parameters of the effect `smr-incidence`."""
 
 
-class CalibrationFile(ResultFile):
+class CalibrationFile(UncertaintyEntry, ResultFile):
     """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
 
     FILE: ClassVar[str] = "calibration.json"
@@ -364,16 +364,8 @@ class CalibrationFile(ResultFile):
     """Outlying readings were excluded."""
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry a group."""
-    constants_included: bool = True
-    """The instrument's constants were estimated, or the set-up declares the instrument corrected."""
     with_constants: Fit | None = None
     """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
-    uncertainty_factor: Positive = 1.0
-    """Factor in all standard deviations and covariances: sigma0 where the readings contradict the model, else 1."""
-    air: str = ""
-    """Errors of the air in the standard deviations of targets and stations; empty where ranges are short."""
-    hidden: tuple[HiddenError, ...] = ()
-    """Errors that no reading shows and that matter, the largest first; no standard deviation includes them."""
     noise_estimated: bool = False
     """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()

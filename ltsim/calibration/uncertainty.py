@@ -3,7 +3,7 @@
 from typing import Protocol
 
 from ltsim.core.notation import number
-from ltsim.recordings.result_file import Entry, NotNegative
+from ltsim.recordings.result_file import Entry, NotNegative, Positive
 
 
 class HiddenError(Entry):
@@ -13,6 +13,19 @@ class HiddenError(Entry):
     """Description of the error, with its size."""
     target_error_um: NotNegative
     """Rms displacement [um] of the targets by it, after the best rigid fit."""
+
+
+class UncertaintyEntry(Entry):
+    """Errors that standard deviations include, or do not include."""
+
+    constants_included: bool = True
+    """The instrument's constants were estimated, or the set-up declares the instrument corrected."""
+    uncertainty_factor: Positive = 1.0
+    """Factor in all standard deviations and covariances: sigma0 where the readings contradict the model, else 1."""
+    air: str = ""
+    """Errors of the air in the standard deviations of targets and stations; empty where ranges are short."""
+    hidden: tuple[HiddenError, ...] = ()
+    """Errors that no reading shows and that matter, the largest first; no standard deviation includes them."""
 
 
 class UncertaintyBasis(Protocol):
