@@ -163,8 +163,6 @@ def _list(entry: dict[str, Any], schema: dict[str, Any]) -> str:
     if items:
         return f"list of {len(items)}: {values(items[0], schema)}"
     least, most = entry.get("minItems"), entry.get("maxItems")
-    if most == 0:
-        return "empty list"
     count = f"{least} times " if least is not None and least == most else ""
     if most == 0:
         return "empty list"
