@@ -25,18 +25,23 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
     return 0.5 * (covariance + covariance.T)
 
 
-def covariance_csv(adjustment: Adjustment, spread: Floats | None = None) -> str | None:
+def covariance_csv(
+    adjustment: Adjustment, spread: Floats | None = None, *, factor: float = 1.0, added: Floats | None = None
+) -> str | None:
     """The content of `targets.covariance.csv`, None for more than `MOST_TARGETS` targets.
 
     `spread` (k, T, 3) [m] are errors that the targets share beyond the readings' own, each for one standard deviation.
+    `factor` multiplies the standard deviations by the readings; `added` (3 T, 3 T) [m^2] is a covariance beyond theirs.
     """
     names = adjustment.recording.targets
     if len(names) > MOST_TARGETS:
         return None
-    covariance = joint_covariance(adjustment)
+    covariance = factor**2 * joint_covariance(adjustment)
     if spread is not None:
         errors = spread.reshape(len(spread), -1)
         covariance = covariance + errors.T @ errors
+    if added is not None:
+        covariance = covariance + added
     determined = np.isfinite(np.diag(covariance))
     coordinates = [f"{name}.{axis}" for name in names for axis in AXES]
     rows = np.flatnonzero(determined)

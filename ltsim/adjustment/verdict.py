@@ -94,11 +94,21 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
         )
         return Verdict(Agreement.LARGER_NOISE, sentence, True)
     sentence = (
-        f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
-        f"effect is missing from the model, and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
+        f"Trust the global test and the estimated sigma0: {shown}; {_reasons(adjustment)}, "
+        f"and of the {by_w} readings that the w-test flags {by_tau or 'none'} are "
         f"outliers at the observed noise level{_by_targets(adjustment)}."
     )
     return Verdict(Agreement.LARGER_NOISE, sentence, True)
+
+
+def _reasons(adjustment: Adjustment) -> str:
+    """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated."""
+    if adjustment.construction.size or adjustment.recording.is_corrected:
+        return "the noise is larger than stated or a systematic effect is missing from the model"
+    return (
+        "the instrument's constants are in the readings, the noise is larger than stated, or a systematic effect is "
+        "missing from the model"
+    )
 
 
 def noise_to_declare(adjustment: Adjustment, level: float = LEVEL) -> str:

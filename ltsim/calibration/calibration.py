@@ -32,6 +32,7 @@ from ltsim.calibration.schema import (
     ReflectorEntry,
     StationPose as StationPose,
 )
+from ltsim.calibration.uncertainty import HiddenError, uncertainty_sentences
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import format_p, two_sided
@@ -135,6 +136,11 @@ class Calibration(Result):
     """(I, p) [SI]: parameters to apply to readings; None where these are the estimates."""
     effects: tuple[FittedEffectEntry, ...] = ()
     reflectors: tuple[ReflectorEntry, ...] = ()
+    constants_included: bool = True
+    with_constants: Fit | None = None
+    uncertainty_factor: float = 1.0
+    air: str = ""
+    hidden: tuple[HiddenError, ...] = ()
     notes: tuple[str, ...] = ()
     tests: tuple[Test, ...] = ()
     recording: SourceEntry | None = None
@@ -223,8 +229,9 @@ class Calibration(Result):
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
         if self.correction is not None and self.correction.uncorrected_um > 0:
-            lines += [self.correction.line, *self.correction.sentences]
-        return [*lines, *self.notes]
+            promised = self.uncertainty_factor == 1.0
+            lines += [*([self.correction.line] if promised else []), *self.correction.sentences]
+        return [*lines, *uncertainty_sentences(self), *self.notes]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.joint import COVARIANCE, covariance_csv
+from ltsim.adjustment.joint import COVARIANCE
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.events import events
 from ltsim.calibration.history import History
 from ltsim.calibration.history_schema import CalibrationOf, CourseEntry, HistoryFile
+from ltsim.calibration.reported import joint_csv
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, ReflectorEntry, VerdictEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name
@@ -37,7 +38,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile
     texts = {TARGETS.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
         texts[RESIDUALS.file] = calibration.table("residuals").csv()
-        covariance = covariance_csv(calibration.adjustment)
+        covariance = joint_csv(calibration)
         texts |= {} if covariance is None else {COVARIANCE: covariance}
     return write_result(folder, calibration_file(calibration), texts)
 
@@ -138,7 +139,11 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         frame=content.frame,
         stations=(),
         recording=content.recording,
-        notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
+        uncertainty_factor=content.uncertainty_factor,
+        notes=(
+            *_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
+            *_rejected(content, file),
+        ),
     )
 
 
@@ -171,6 +176,16 @@ def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: 
             problem = f"parameters: '{shown(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
     return at
+
+
+def _rejected(content: CalibrationFile, file: Path) -> tuple[str, ...]:
+    """Warning about a calibration whose fit was rejected; empty for others."""
+    if content.uncertainty_factor == 1.0:
+        return ()
+    return (
+        f"{file}: the readings of this calibration contradict its model (sigma0 = {content.uncertainty_factor:.3g}); "
+        "another cause may be in its parameters: run ltsim diagnose on its recording before you use them",
+    )
 
 
 def _missing(names: list[str], file: Path) -> tuple[str, ...]:

@@ -21,8 +21,10 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
 from ltsim.calibration.prior_conflict import UNEXPLAINED, disagreement, noise_overstated, prior_rejected
 from ltsim.calibration.prior_information import WIDE, Choice
+from ltsim.calibration.reported import reported, uncertainty_factor
+from ltsim.calibration.schema import Fit
 from ltsim.calibration.shrinkage import correction_of
-from ltsim.core.errors import ConvergenceError, NetworkError
+from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import names
@@ -94,7 +96,10 @@ def calibrate_network(
     calibration = replace(calibration, tests=() if selection is None else outcomes(selection))
     if weigh:
         wider = WIDE if chosen.free else None
-        worth, applied_values = correction_of(adjustment, calibration.names, history_prior=history_prior, wider=wider)
+        factor = uncertainty_factor(calibration.fit, calibration.verdict)
+        worth, applied_values = correction_of(
+            adjustment, calibration.names, history_prior=history_prior, wider=wider, factor=factor
+        )
         criteria = result.criteria_of(adjustment.recording, adjustment, built, applied_values)
         calibration = replace(calibration, correction=worth, applied_values=applied_values, criteria=criteria)
     calibration = replace(calibration, prior_sigma=prior.sigma, prior_rejected=freed, history_prior=history_prior)
@@ -144,7 +149,21 @@ def adjust(
     selection = identified(source)
     adjustment = _adjusted(source, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
     calibration = _calibration(source, adjustment, "adjustment", advise=False, robust=robust)
-    return replace(calibration, tests=() if selection is None else outcomes(selection))
+    tests = () if selection is None else outcomes(selection)
+    return reported(replace(calibration, tests=tests, with_constants=_fit_with_constants(adjustment)))
+
+
+def _fit_with_constants(adjustment: Adjustment) -> Fit | None:
+    """Fit of rejected readings of uncorrected instruments with their constants estimated; None for others."""
+    recording = adjustment.recording
+    if recording.is_corrected or uncertainty_factor(result.fit_of(adjustment), result.verdict_of(adjustment)) == 1.0:
+        return None
+    try:
+        built = declared_construction(recording)
+        fitted = adjusted_network(recording, built, effects=adjustment.effects, sigma=adjustment.problem.sigma)
+    except LtsimError:
+        return None
+    return result.fit_of(fitted) if fitted.solution.converged else None
 
 
 def _adapted(

@@ -10,6 +10,7 @@ from scipy import special
 from ltsim.adjustment.evaluation.criteria import CriterionEntry
 from ltsim.adjustment.identification.tests import Test
 from ltsim.calibration.combinations import Combination, DeterminedEntry
+from ltsim.calibration.uncertainty import UncertaintyEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number, with_sigma
 from ltsim.core.probability import format_p
@@ -236,7 +237,7 @@ class VerdictEntry(Entry):
     sentence: str = ""
     """The same for a person."""
     scale_by_sigma0: bool = False
-    """True where standard deviations should be scaled by sigma0."""
+    """True where the estimated sigma0 is to be trusted, not the declared noise."""
 
 
 class Correction(Entry):
@@ -258,9 +259,14 @@ class Correction(Entry):
     """The same for a person."""
 
     @property
+    def point_errors_um(self) -> tuple[float, float]:
+        """Expected 3D error [um] of a new point without and with the correction, with the noise of its reading."""
+        return math.hypot(self.uncorrected_um, self.noise_um), math.hypot(self.corrected_um, self.noise_um)
+
+    @property
     def line(self) -> str:
         """The error of a new point without and with the correction."""
-        before, after = (number(math.hypot(x, self.noise_um), 3) for x in (self.uncorrected_um, self.corrected_um))
+        before, after = (number(error, 3) for error in self.point_errors_um)
         noise = f"{number(self.noise_um, 3)} um of it is that point's own measurement noise"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
@@ -322,7 +328,7 @@ class ReflectorEntry(Entry):
     """Parameters of the effect `smr-incidence`."""
 
 
-class CalibrationFile(ResultFile):
+class CalibrationFile(UncertaintyEntry, ResultFile):
     """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
 
     FILE: ClassVar[str] = "calibration.json"
@@ -358,6 +364,8 @@ class CalibrationFile(ResultFile):
     """Outlying readings were excluded."""
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry a group."""
+    with_constants: Fit | None = None
+    """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
     noise_estimated: bool = False
     """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()

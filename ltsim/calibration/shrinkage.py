@@ -53,18 +53,24 @@ FEWEST = 5
 
 
 def correction_of(
-    adjustment: Adjustment, names: Sequence[str], *, history_prior: bool = False, wider: float | None = None
+    adjustment: Adjustment,
+    names: Sequence[str],
+    *,
+    history_prior: bool = False,
+    wider: float | None = None,
+    factor: float = 1.0,
 ) -> tuple[Correction, Floats]:
     """The correction that an adjustment's parameters are worth, and its values (I, p) [SI]; `names` (I p) of them.
 
     A prior widened by the factor `wider` stands for none: its scale is then estimated in any case. With a prior from
     earlier calibrations (`history_prior`) all terms are applied, since more than this recording's targets supports
-    them, and the estimated scale is 1 at least.
+    them, and the estimated scale is 1 at least. `factor` multiplies the noise of the readings: in a rejected fit they
+    support a correction as far as their scatter allows.
     """
     prior = adjustment.problem.prior
     held, mean = prior.held.ravel(), prior.mean.ravel()
     free = np.flatnonzero(~held)
-    gone = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment)
+    gone = np.zeros(0, dtype=np.int64) if history_prior else terms_to_drop(adjustment, factor)
     used = np.setdiff1d(free, gone)
     root = block_diag(*prior.roots)[np.ix_(free, free)]
     at = adjustment.problem.unknowns.instrument.ravel()[free]
@@ -73,10 +79,10 @@ def correction_of(
     within = np.searchsorted(free, used)
     unit = wider or 1.0
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
-    information = (precision[np.ix_(within, within)] - np.eye(len(used))) / unit**2
+    information = (precision[np.ix_(within, within)] - np.eye(len(used))) / (factor * unit) ** 2
     least, is_free = (1.0 if history_prior else 0.0), wider is not None
     rest = sigma0_of_readings(adjustment)
-    evidence = ScaledPrior(information, vector[within] / unit, least=least, is_free=is_free, rest=rest)
+    evidence = ScaledPrior(information, vector[within] / (factor**2 * unit), least=least, is_free=is_free, rest=rest)
     by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
     applied, note = evidence.shrunk_correction(by_unit, middle)
@@ -272,10 +278,11 @@ class HeldOutTarget:
         return float(residual @ residual)
 
 
-def terms_to_drop(adjustment: Adjustment) -> Ints:
+def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
     """Indices, in the flat vector of parameters (I p), of terms without which held-out targets are predicted better.
 
-    Backward elimination, the worst term first. Empty in a large network or one with few targets.
+    Backward elimination, the worst term first. Empty in a large network or one with few targets. `factor` multiplies
+    the noise of the readings.
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns
@@ -291,7 +298,7 @@ def terms_to_drop(adjustment: Adjustment) -> Ints:
         tried = [np.concatenate([gone, term]) for term in candidates]
         after = [sum(t.squares(values, fixed) for t in targets) for fixed in tried]
         best = int(np.argmin(after))
-        if now - after[best] <= WORSE:
+        if now - after[best] <= WORSE * factor**2:
             break
         gone, now = tried[best], after[best]
         del candidates[best]

@@ -15,6 +15,7 @@ from ltsim.calibration.files import CalibrationSource, calibration_of, read_cali
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import Choice, EarlierCalibrations
+from ltsim.calibration.reported import reported
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import Sized, each_of, effect_from, names
@@ -119,11 +120,13 @@ def calibrate(
     source = recording_of(recording)
     if method == "network":
         extra_effects = [requested_effect(asked, source) for asked in effects]
-        return calibrate_network(source, built, advise=advise, choice=choice, extra_effects=extra_effects, **options)
+        return reported(
+            calibrate_network(source, built, advise=advise, choice=choice, extra_effects=extra_effects, **options)
+        )
     if any(options.values()) or prior is not None or effects:
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
         raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")
-    return calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box)
+    return reported(calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box))
 
 
 def requested_effect(asked: str | Effect | Sized, recording: Recording) -> RequestedEffect:

@@ -44,7 +44,7 @@ def at(value: Floats | float, trial: int) -> float:
     return value if isinstance(value, float) else float(value[trial])
 
 
-@overload(at, inline="always", strict=False)
+@overload(at, strict=False)
 def _at(value: object, trial: object) -> Callable[..., object]:
     """The choice is made by type when a kernel is compiled: what trials share costs nothing."""
     if isinstance(value, types.Float):

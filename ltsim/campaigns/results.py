@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ltsim.campaigns.paired import Paired, paired
-from ltsim.campaigns.schema import CHECKED, column_of
-from ltsim.campaigns.statistics import Statistics
-from ltsim.core.errors import missing_extra
+from ltsim.campaigns.schema import CHECKED, SHARES, column_of
+from ltsim.campaigns.statistics import Spread, Statistics
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, missing_extra
 from ltsim.core.plotting import plotting_module
+from ltsim.core.randomness import stream
 from ltsim.core.results import Result
 
 if TYPE_CHECKING:
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 CALIBRATOR = "calibrator"
 """Axis of the methods: `method` is an argument of `sel` already."""
+RESAMPLES = 400
+"""Resamples of a bootstrap interval: its ends then have a sampling error of about a tenth of its width."""
 ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of a factor cannot have; it has an underscore behind then."""
 
@@ -50,6 +54,47 @@ class Results(Statistics, Result):
         """
         self._quoted(statistic)
         return paired(self, statistic, **between)
+
+    def statistic(self, function: Callable[..., float], *columns: str) -> list[Spread]:
+        """Statistic that a function defines, over the trials of every cell and method, with its 95 % interval.
+
+        Parameters
+        ----------
+        function : callable
+            Of one array (n,) per column, with the values of the same n trials; returns a number. Trials in which a
+            column has no value are left out.
+        *columns : str
+            Columns of the rows.
+
+        Returns
+        -------
+        list of Spread
+            `mean` is the statistic of all trials, `low` and `high` its interval by resampling the trials (percentile
+            bootstrap), `column` the name of the function.
+
+        Raises
+        ------
+        ModelError
+            When there is no such column, or the function does not return a number.
+        """
+        if shares := [column for column in columns if column in SHARES]:
+            raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; use `spread`")
+        quoted = [self._quoted(column) for column in columns]
+        where = " AND ".join(f"isfinite({name})" for name in quoted) or "true"
+        name = getattr(function, "__name__", type(function).__name__)
+        spreads = []
+        for cell in range(len(self.levels)):
+            for method in sorted(self.manifest.methods):
+                values = self.of_trials(quoted, cell, method, where)
+                count = values.shape[1]
+                if not count:
+                    continue
+                draws = stream(0, "bootstrap", cell).integers(count, size=(RESAMPLES, count))
+                value = _number_of(function, values)
+                again = [_number_of(function, values[:, draw]) for draw in draws]
+                low, high = np.nanquantile(again, [0.025, 0.975]).tolist()
+                spreads.append(Spread(cell, method, name, count, value, low, high, float(np.nanstd(again, ddof=1))))
+        return spreads
 
     def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:
         """Means of a statistic along a factor, a line a method, with 95 % intervals and the middle 90 % of the trials.
@@ -127,6 +172,14 @@ class Results(Statistics, Result):
             return {name: (name, values, unit[name]) for name, values in steps.items()}, places, {}
         along = {name: ("cell", values, unit[name]) for name, values in axes.items()}
         return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along
+
+
+def _number_of(function: Callable[..., float], values: Floats) -> float:
+    """Value of a function of the columns (k, n); raises ModelError where it is no number."""
+    result = np.asarray(function(*values))
+    if result.size != 1 or result.dtype.kind not in "fiub":
+        raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
+    return float(result.item())
 
 
 def _in_order(values: Iterable[Any]) -> list[Any]:

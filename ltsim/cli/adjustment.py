@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
     from ltsim.recordings import Recording
 
+LEAST_SHOWN = 0.005
+"""[um, arcsec] Change of readings from which a correction is reported as one: half of its last digit."""
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
@@ -86,6 +88,8 @@ def correct(
     if instrument.effects:
         estimated = ", ".join(title_of(effect.effect) for effect in instrument.effects)
         terminal.notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
+    if instrument.correction is not None:
+        terminal.notes(instrument.correction.sentences)
     corrected = lt.correct(recording, instrument, again=force)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings
@@ -93,10 +97,10 @@ def correct(
     largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
     terminal.answer({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
-    terminal.say(
-        f"{len(recording)} pointings corrected by up to {largest[0]:.1f} um in distance, "
-        f"{largest[1]:.2f} arcsec in azimuth, {largest[2]:.2f} arcsec in elevation"
-    )
+    distance, azimuth, elevation = largest
+    sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
+    applied = f"{len(recording)} pointings corrected by {sizes}"
+    terminal.say(applied if np.any(largest >= LEAST_SHOWN) else "no correction was applied: the readings do not change")
     terminal.say(f"written to {out}")
 
 

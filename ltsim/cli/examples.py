@@ -23,6 +23,9 @@ TRY = {
     "campaign.toml": "ltsim campaign campaign.toml --set trials=100 --jobs 2",
     "uncertainty.toml": "ltsim uncertainty uncertainty.toml --out uncertainty",
     "acceptance.toml": "ltsim accept acceptance.toml --out acceptance",
+    "calibration.ipynb": "jupyter lab calibration.ipynb",
+    "hall.ipynb": "jupyter lab hall.ipynb",
+    "sweep.ipynb": "jupyter lab sweep.ipynb",
 }
 """Example files, each with a command to try; a file without a command is an input of the previous one."""
 
@@ -37,9 +40,9 @@ def example_text(name: str) -> str:
 
 
 def examples(folder: Folder = Path("ltsim-examples"), force: Force = False, *, terminal: Terminal) -> None:
-    """Copy sample data: a survey with its hall, a workshop, a plan, a campaign, tasks, an acceptance test.
+    """Copy sample data: a survey with its hall, a workshop, a plan, a campaign, tasks, notebooks.
 
-    Every file is commented; a command to try is printed for each.
+    Every file is commented; a command to try is printed for each. Jupyter is not part of ltsim.
 
     Example: ltsim examples my-folder
     """

@@ -15,13 +15,14 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.unmodelled import air_covariance, reach_of
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.measurands.assumed import datum_note, exchange_note, exchanged, open_motions
 from ltsim.measurands.comparison import Comparison, Gap, judged, rows_of
-from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
+from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.references import COEFFICIENT
 from ltsim.recordings.result_file import SourceEntry
@@ -131,11 +132,13 @@ class _Epoch:
 
     @classmethod
     def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
-        reach = reach_of(adjustment, at)
+        columns = adjustment.problem.unknowns.target[at].reshape(1, -1)
+        reach = reach_of(adjustment, columns[0])
         groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
         names = [adjustment.recording.targets[i] for i in at]
-        return cls(names, adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
+        covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
+        return cls(names, adjustment.state.points[at], covariance, np.hstack(given), adjustment.problem.free)
 
     @classmethod
     def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:

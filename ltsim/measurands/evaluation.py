@@ -11,11 +11,14 @@ from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, Output
 from ltsim.measurands.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
 from ltsim.measurands.spec import Task, Tasks
-from ltsim.measurands.uncertainty import BudgetPart, Distribution, TaskResult, Uncertainty, conformity
+from ltsim.measurands.uncertainty import BudgetPart, Distribution, HiddenPart, TaskResult, Uncertainty, conformity
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
+
+MATTERS = 0.2
+"""An error that no reading shows is reported from this share of the standard uncertainty on: it would add 2 % to it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,7 +46,7 @@ class Evaluation:
     def warnings(self) -> list[str]:
         """Warnings on figures that are less reliable than they seem, one sentence each."""
         air = self.inputs.air
-        warnings = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
+        warnings = [f"every budget holds the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > CURVED:
@@ -106,7 +109,18 @@ class Evaluation:
             ),
             curvature=float(self.curved[i]),
             budget=self._budget(i, sigma),
+            hidden=self._hidden(i, unit, sigma),
             conformity=None if tolerance is None else conformity(value, sigma, tolerance, self.tasks.decision, draws),
+        )
+
+    def _hidden(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
+        """Errors that no reading shows and that change one result by more than `MATTERS` of its uncertainty."""
+        changes = {
+            name: abs(float(self.linear.by_points[i] @ moved)) / unit for name, moved in self.inputs.hidden.items()
+        }
+        ranked = sorted(changes, key=lambda name: -changes[name])
+        return tuple(
+            HiddenPart(source=name, change=changes[name]) for name in ranked if changes[name] > MATTERS * sigma
         )
 
     def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:

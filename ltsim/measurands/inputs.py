@@ -5,21 +5,25 @@ the errors of any group of observations, and any effect that shifts readings, re
 the covariance of the points falls apart into the shares of its sources, which add up to the whole.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.unmodelled import air_responses, common_responses, counted_air, longest_sight, reach_of
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.units import MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.measurands.spec import Tasks, TypeB
-from ltsim.physics.effects.air import Air
+from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.effect import Effect, NoiseEffect, by_displacement
+from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.verbs import effect_from
 from ltsim.physics.model.construction import declared_construction, ideal
+from ltsim.recordings.air import Air
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
@@ -65,6 +69,8 @@ class Inputs(ValueEquality):
     sources: tuple[Source, ...]
     air: str = ""
     """Description of the air in the sources; empty where ranges are short."""
+    hidden: dict[str, Floats] = field(default_factory=dict)
+    """Displacements (3 T,) [m] by errors that no reading shows, one standard deviation of each; not in the sources."""
 
     @classmethod
     def of(cls, recording: Recording, tasks: Tasks) -> Self:
@@ -83,13 +89,16 @@ class Inputs(ValueEquality):
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         at = np.array([recording.targets.index(name) for name in names])
-        reach = reach_of(adjustment, at)
+        reach = reach_of(adjustment, adjustment.problem.unknowns.target[at].ravel())
         observed = [replace(s, response=_compact(s.response)) for s in observed_sources(adjustment, reach)]
         observed += smr_sources(adjustment, reach)
         further = [_type_b(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
-        air, note = _air_of(tasks, float(adjustment.sightings.range_.max()))
-        further += air_sources(adjustment, reach, air) if note else []
-        return cls(adjustment, names, adjustment.state.points[at], reach, (*observed, *further), note)
+        air = _air_of(tasks, adjustment)
+        counted = counted_air(adjustment, air)
+        further += air_sources(adjustment, reach, counted) if counted else []
+        words = air_words(counted, longest_sight(adjustment)) if counted else ""
+        hidden = common_responses(adjustment, reach, air)
+        return cls(adjustment, names, adjustment.state.points[at], reach, (*observed, *further), words, hidden)
 
     @classmethod
     def listed(cls, coordinates: Coordinates, tasks: Tasks) -> Self:
@@ -121,18 +130,6 @@ class Inputs(ValueEquality):
 def _used(tasks: Tasks) -> tuple[str, ...]:
     """Names of the points that tasks use."""
     return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
-
-
-def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
-    """Displacement (m, 3 T) [m] of targets `at` (T,) for a unit of each whitened row of the adjustment."""
-    problem, system = adjustment.problem, adjustment.solution.system
-    columns = problem.unknowns.target[at].ravel()
-    unit = np.zeros((problem.unknowns.size, len(columns)))
-    unit[columns, np.arange(len(columns))] = 1.0
-    spread = adjustment.factor.covariance_columns(unit)
-    if adjustment.datum is not None:
-        spread = spread - adjustment.datum.carried @ adjustment.datum.motion[columns].T
-    return np.asarray(system.design @ spread)
 
 
 def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
@@ -192,26 +189,18 @@ def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     return sources
 
 
-def _air_of(tasks: Tasks, longest: float) -> tuple[Air, str]:
-    """Air of a budget, less what the tasks declare themselves, and its description where ranges are long."""
+def _air_of(tasks: Tasks, adjustment: Adjustment) -> Air:
+    """Air of a budget, less the properties that the tasks declare themselves."""
     declared = {entry.effect for entry in tasks.type_b}
-    effects = {"temperature_k": "station-weather", "gradient_k_per_m": "air-gradient"}
-    air = tasks.air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared})
-    return air, air.words(longest) if air.counts(longest) else ""
+    effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
+    air = tasks.air or adjustment.recording.setup.air or Air()
+    return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared})
 
 
 def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
     """Sources by the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
-    problem, sightings = adjustment.problem, adjustment.sightings
-    rows, columns = np.nonzero(problem.use)
-    readings, sigma = reach[: len(rows)].T, problem.sigma[rows, columns]
-    common = readings @ (air.errors(sightings)[rows, columns] / sigma[:, None])
-    scatter = readings * (np.sqrt(air.variance(sightings)[rows, columns]) / sigma)
-    sources = [
-        Source("temperature of the air", "B", common[:, ::2]),
-        Source("gradient of the air", "B", common[:, 1::2]),
-    ]
-    return [s for s in (*sources, Source("turbulence", "B", _compact(scatter))) if np.any(s.response)]
+    responses = air_responses(adjustment, reach, air)
+    return [Source(name, "B", _compact(response)) for name, response in responses.items()]
 
 
 def _compact(response: Floats) -> Floats:

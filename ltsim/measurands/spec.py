@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.core.errors import as_setup_error
-from ltsim.physics.effects.air import Air
+from ltsim.recordings.air import Air
 from ltsim.recordings.settings import checked, load_settings
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 
@@ -176,8 +176,8 @@ class Tasks(TomlSection):
     """Tables `[[task]]`."""
     type_b: tuple[TypeB, ...] = ()
     """Effects that the readings do not show (type B), tables `[[type_b]]`."""
-    air: Air = Air()
-    """Uncertainty of the air, where ranges are long; what `type_b` declares itself is not counted again."""
+    air: Air | None = None
+    """Uncertainty of the air, where ranges are long, less the effects in `type_b`; default that of the recording."""
     growth: PartExpansion | None = None
     """Expansion of the part."""
     monte_carlo: MonteCarlo = MonteCarlo()

@@ -32,10 +32,13 @@ BUDGET = Table(
     "budget.csv",
     "where the uncertainty comes from",
     (
-        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
+        *texts(task="name", result="name", source="of uncertainty"),
+        *texts(type="A, B, or not included: no reading shows it", unit="of u"),
         *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
     ),
 )
+NOT_INCLUDED = "not included"
+"""Type of an error in the table of the budget that is not part of the uncertainty."""
 Size = Annotated[float, Field(ge=0)]
 MOST_REPORTED = 8
 """Number of results in the summary lines."""
@@ -69,6 +72,15 @@ class BudgetPart(Entry):
     """Share of the variance of the result, 0 to 1."""
     standard_uncertainty: Size
     """Standard uncertainty in the result's unit."""
+
+
+class HiddenPart(Entry):
+    """Error that no reading shows, and that is not part of the uncertainty."""
+
+    source: str
+    """Description of the error, with its size."""
+    change: Size
+    """Change of the result, in its unit."""
 
 
 class Conformity(Entry):
@@ -115,6 +127,8 @@ class TaskResult(Entry):
     """Gap between the exact adjustment and its linear form, in standard uncertainties."""
     budget: tuple[BudgetPart, ...] = Field(min_length=1)
     """Sources, the largest first."""
+    hidden: tuple[HiddenPart, ...] = ()
+    """Errors that no reading shows and that matter, the largest first; the uncertainty does not include them."""
     conformity: Conformity | None = None
     """Against its tolerance."""
 
@@ -176,7 +190,12 @@ class Uncertainty(ResultFile, Result):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         parts = [(r, p) for r in self.results for p in r.budget]
-        rows = [(r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts]
+        rows: list[tuple[Any, ...]] = [
+            (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts
+        ]
+        rows += [
+            (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
+        ]
         return {"results": lambda: RESULTS.filled(r.row for r in self.results), "budget": lambda: BUDGET.filled(rows)}
 
 

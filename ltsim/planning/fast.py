@@ -20,6 +20,7 @@ from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import about_z, cross_matrix
+from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.physics.model.incidence import IncidenceErrors
@@ -193,7 +194,7 @@ class LayoutScorer:
         designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
         sigma = self.survey.noise(sightings)
         if self.survey.air is not None:
-            sigma = np.sqrt(sigma**2 + self.survey.air.variance(sightings))
+            sigma = np.sqrt(sigma**2 + turbulence_variance(self.survey.air, sightings))
         white = (self._use / sigma)[:, :, None]
         return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
 

@@ -20,13 +20,13 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.planning.survey import Survey
-from ltsim.solve.design import as_dense
 
 
 @dataclass(frozen=True)
@@ -92,33 +92,13 @@ class LayoutInformation:
 
     @property
     def pose_covariance(self) -> Floats:
-        """(S, 6, 6): translation [m] and rotation [rad] of each station, datum the mean of all targets."""
-        return self._inner.pose_covariance
-
-    @property
-    def target_covariance(self) -> Floats:
-        """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints); with the survey's air."""
-        return self._inner.target_covariance + self._by_air
+        """(S, 6, 6): translation [m] and rotation [rad] of each station, as `target_covariance`."""
+        return self._inner.pose_covariance + air_covariance(self._inner, self._inner.problem.unknowns.pose)
 
     @cached_property
-    def _by_air(self) -> Floats | float:
-        """(T, 3, 3) [m^2] that the air adds: errors that the adjustment neither knows nor estimates, carried on.
-
-        Targets move by the gain on the whitened readings, less the rigid motion of all of them.
-        """
-        air, adjustment, problem = self.survey.air, self.adjustment, self.adjustment.problem
-        if air is None:
-            return 0.0
-        used = np.flatnonzero(problem.use.ravel())
-        errors, variance = air.errors(adjustment.sightings), air.variance(adjustment.sightings)
-        sigma, carry = problem.sigma.ravel()[used], as_dense(adjustment.solution.system.design[: len(used)]).T
-        common = errors.reshape(-1, errors.shape[2])[used] / sigma[:, None]
-        inside = np.hstack([carry @ common, carry * (np.sqrt(variance.ravel()[used]) / sigma)])
-        moved = adjustment.factor.covariance_columns(inside)[problem.unknowns.target].reshape(-1, inside.shape[1])
-        motion = rigid_motion(self.survey.points) @ problem.free
-        moved -= motion @ (np.linalg.pinv(motion) @ moved)
-        errors_of = moved.reshape(-1, 3, inside.shape[1])
-        return np.asarray(errors_of @ np.swapaxes(errors_of, 1, 2))
+    def target_covariance(self) -> Floats:
+        """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints); with the air."""
+        return self._inner.target_covariance + air_covariance(self._inner, self._inner.problem.unknowns.target)
 
     @cached_property
     def target_sigma(self) -> Floats:

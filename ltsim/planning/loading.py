@@ -68,6 +68,8 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         made = checked(data, PlanFile, "plan", path)
     made = made.model_copy(update=_given(made, path))
     scenario = _scenario(made, data, path)
+    if made.air is not None:
+        scenario = scenario.model_copy(update={"air": made.air})
     _check_names(made, scenario, path)
     _check_counts(made, scenario, path)
     return made, scenario

@@ -1,13 +1,16 @@
 """Reasons for a plan: sentences, each with its number."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
 
 import numpy as np
 
+from ltsim.adjustment.unmodelled import counted_air, longest_sight
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
+from ltsim.physics.effects.air import air_words
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.plan_entries import PlannedParameterEntry
@@ -16,6 +19,8 @@ from ltsim.planning.site import MOST_NAMED, too_near, words_of
 from ltsim.planning.tolerances import against, keeps, loss_sentences
 from ltsim.planning.workshop import objective_of
 
+GAIN = " (gain "
+"""Text before the gain that a measurement gives; a sentence without it names no measurement."""
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
@@ -105,11 +110,12 @@ def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
 
 def _air(plan: PlannedNetwork) -> list[str]:
     """Uncertainty of the air that the figures include."""
-    survey = plan.chosen.survey
-    if survey.air is None:
+    adjustment = plan.chosen.information.adjustment
+    air = counted_air(adjustment)
+    if air is None:
         return []
-    longest = float(np.linalg.norm(survey.position[:, None] - survey.points, axis=2)[survey.visible].max())
-    return [f"All point errors include the {survey.air.words(longest)}; change it as [air] of the plan."]
+    words = air_words(air, longest_sight(adjustment))
+    return [f"All point errors include the {words}; change it as [air] of the plan."]
 
 
 def _against_reference(plan: PlannedNetwork) -> list[str]:
@@ -268,13 +274,15 @@ def _reference_value(plan: PlannedNetwork) -> float:
 
 
 def _undetermined(plan: PlannedNetwork) -> list[str]:
+    """Number of undetermined combinations of parameters, and the measurement that determines most of them."""
     information = plan.chosen.information
-    sentences = []
-    for direction, cure in zip(information.undetermined, information.cures(), strict=True):
-        terms = " ".join(f"{v:+.2f} {n}" for n, v in direction.coefficients(information.construction.names).items())
-        remedy = f"; to determine it, {cure}" if cure else ""
-        sentences.append(f"The layout does not determine {terms} (gain {direction.gain:.2f}){remedy}.")
-    return sentences
+    count = len(information.undetermined)
+    if not count:
+        return []
+    which = f"{count} combination{'s' if count > 1 else ''} of instrument parameters {'are' if count > 1 else 'is'}"
+    measured = Counter(cure.partition(GAIN)[0] for cure in information.cures() if GAIN in cure)
+    cure = f"; to determine most of them, {measured.most_common(1)[0][0]}" if measured else ""
+    return [f"{which} not determined by this layout (see the table){cure}."]
 
 
 def _search(plan: PlannedNetwork) -> list[str]:

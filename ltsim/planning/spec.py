@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.physics.effects.air import Air
+from ltsim.recordings.air import Air
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
@@ -208,8 +208,8 @@ class PlanFile(TomlSection):
     """Reflectors, as in a scenario file."""
     work: Work | None = None
     """Order and clock of the work there, as in a scenario file; points as listed unless it says so."""
-    air: Air = Air()
-    """Uncertainty of the air, where ranges are long: included in every figure of the plan."""
+    air: Air | None = None
+    """Uncertainty of the air, where ranges are long: in every figure of the plan; default that of the scenario."""
     floor: Floor = Floor()
     """Allowed and forbidden areas of tripods."""
     stations: Stations = Stations()

@@ -12,9 +12,9 @@ from ltsim.core.arrays import Bools, Floats, Ints, as_floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.effects.air import Air
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.air import Air
 from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
 from ltsim.recordings.setup import Setup, Station
 from ltsim.scene.sightings import Sightings
@@ -53,7 +53,7 @@ class Survey:
     """Weight of targets by name in the root mean square of point errors; one where not named."""
 
     air: Air | None = None
-    """Uncertainty of the air; none where ranges are short."""
+    """Air that a search counts; none where no sight can be long enough. Figures of a layout take that of the set-up."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)

@@ -16,6 +16,7 @@ from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import WALLS, PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
+from ltsim.recordings.air import Air
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.floor import ground_of
 from ltsim.scene.meshes import nest_places, walls
@@ -78,7 +79,7 @@ def _rank(recording: Recording, layout: Layout) -> Ints:
 
 def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> SearchSpace:
     """The freedom of a plan with a number of stations and a way of measuring."""
-    survey, layout, mm = survey_of(scenario), planned(scenario), MILLIMETRE
+    survey, layout, mm, air = survey_of(scenario), planned(scenario), MILLIMETRE, scenario.air or Air()
     levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
     areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
     longest = max(np.linalg.norm(area.outline[:, None] - survey.points[:, :2], axis=2).max() for area in areas)
@@ -94,7 +95,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
             importance=importance(plan),
-            air=plan.air if plan.air.counts(float(longest)) else None,
+            air=air if air.counts(float(longest)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move if moves is None else 60.0 * moves,
         ),

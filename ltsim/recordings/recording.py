@@ -159,6 +159,11 @@ class Recording(Result):
         """Instrument that stood at `station`."""
         return self.setup.instrument_of(station)
 
+    @property
+    def is_corrected(self) -> bool:
+        """True if the set-up declares all instruments of the recording corrected."""
+        return all(self.setup.instrument_named(name).corrected for name in self.instruments)
+
     def station_setup(self, station: str) -> Station:
         """Entry of a station in the set-up (defaults where there is none)."""
         return self.setup.stations.get(station, _PLAIN_STATION)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from ltsim.recordings.air import Air
 from ltsim.recordings.keys import (
     EXACT_LEVEL_ARCSEC as EXACT_LEVEL_ARCSEC,
     LEAST_SIGMA as LEAST_SIGMA,
@@ -328,6 +329,8 @@ class Setup(TomlSection):
     refraction: tuple[Finite, Sigma] | None = None
     """Coefficient of refraction near the ground (radius of the earth over that of the ray) and its standard deviation,
     such as [0.13, 0.1]; where it is given, the network estimates the coefficient."""
+    air: Air | None = None
+    """Uncertainty of the air along the beams, a table `[air]`; the default sizes of its keys hold in halls."""
     report: About | None = None
     """Head of a report: instrument, date, operator, customer."""
     instrument: Instrument = Instrument()

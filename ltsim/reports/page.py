@@ -34,6 +34,7 @@ HEADLINES = {
     ("Calibration", "bad"): "The calibration should not be used yet.",
     ("Network", "good"): "The network agrees with itself.",
     ("Network", "bad"): "The network does not agree with what is stated.",
+    ("Network", "plain"): "The instrument's errors are still in the coordinates.",
     ("Diagnosis", "good"): "Nothing was found wrong.",
     ("Diagnosis", "bad"): "Something is wrong with this recording.",
     ("History", "good"): "The instrument has not changed.",

@@ -87,9 +87,16 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return inside
 
 
+class NotebookFigure(Figure):
+    """Figure that a notebook shows as a picture, whether or not pyplot is loaded."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
 def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
     """Empty figure of a height [inch] with automatic layout and without a window."""
-    return Figure(figsize=(WIDTH, height), layout=layout)
+    return NotebookFigure(figsize=(WIDTH, height), layout=layout)
 
 
 def panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:

@@ -13,6 +13,7 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import Sized, effect_from
+from ltsim.recordings.air import Air
 from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.settings import checked, merge_defaults, read_toml, to_toml, with_instruments
 from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
@@ -87,6 +88,8 @@ class Scenario(TomlSection, Result):
     """Set-ups, tables `[stations.NAME]`, in the order of the work."""
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
+    air: Air | None = None
+    """Uncertainty of the air that the recording declares, a table `[air]`; it changes no reading."""
     effects: tuple[EffectEntry, ...] = ()
     """Physics beyond the instrument's errors, tables `[[effects]]`."""
 
@@ -385,4 +388,4 @@ def scenario_to_toml(scenario: Scenario) -> str:
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
     table: dict[str, Any] = {name: whole[name] for name in SPELLED_OUT if name in whole}
     table |= {kind: brief.get(kind, {}) for kind in ("reflectors", "materials", "stations", "targets")}
-    return to_toml(table | {kind: brief[kind] for kind in ("lengths", "effects") if kind in brief})
+    return to_toml(table | {kind: brief[kind] for kind in ("air", "lengths", "effects") if kind in brief})

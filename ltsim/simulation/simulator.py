@@ -168,6 +168,7 @@ def _setup(work: Fieldwork) -> Setup:
     }
     return Setup(
         title=scenario.title,
+        air=scenario.air,
         instrument=_data_sheet(scenario.instrument) if "" in scenario.trackers else Instrument(),
         instruments={name: _data_sheet(tracker) for name, tracker in scenario.instruments.items()},
         stations=stations,

@@ -11,10 +11,11 @@ import pytest
 
 from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.unmodelled import reach_of
 from ltsim.adjustment.verdict import verdict
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments
-from ltsim.measurands.inputs import observed_sources, reach_of
+from ltsim.measurands.inputs import observed_sources
 from ltsim.physics.laws.regressor_library import regressors_of
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings import read, write
@@ -314,8 +315,7 @@ def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     found = adjust(read(LEVELLED.write(tmp_path / "network.gkf")))
-    at = np.arange(len(found.recording.targets))
-    sources = observed_sources(found, reach_of(found, at))
+    sources = observed_sources(found, reach_of(found, found.problem.unknowns.target.ravel()))
     assert "known differences" in {source.name for source in sources}
     spread = sum(source.covariance for source in sources)
     np.testing.assert_allclose(np.diag(spread), found.target_covariance[:, range(3), range(3)].ravel(), rtol=1e-6)

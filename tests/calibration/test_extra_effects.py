@@ -157,7 +157,7 @@ def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drif
     state, spread = found.adjustment.state.extra, np.sqrt(np.diag(found.adjustment.extra_covariance))
     unit = [FACTOR[p.unit] for p in told]
     assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
-    assert [p.sigma for p in told] == pytest.approx(spread / unit, rel=1e-6)
+    assert [p.sigma for p in told] == pytest.approx(found.uncertainty_factor * spread / unit, rel=1e-6)
     stated = found.effects[0].parameters[-1]
     assert (stated.name, stated.value, stated.sigma) == ("time_constant", 10.0, None)
 

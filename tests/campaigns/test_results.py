@@ -73,6 +73,24 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
         sweep.plot("target_error_um", "angle_noise_arcsec", faces=3)
 
 
+def test_a_statistic_of_a_function_has_the_interval_of_its_trials(sweep: Any) -> None:
+    def mean(errors: np.ndarray) -> float:
+        return float(errors.mean())
+
+    entries, exact = sweep.statistic(mean, "target_error_um"), sweep.spread("target_error_um")
+    assert [(e.cell, e.method, e.column) for e in entries] == [(s.cell, s.method, "mean") for s in exact]
+    for entry, spread in zip(entries, exact, strict=True):
+        assert entry.mean == pytest.approx(spread.mean, rel=1e-6)
+        assert entry.high - entry.low == pytest.approx(spread.high - spread.low, rel=0.35)
+    both = sweep.statistic(lambda a, b: np.corrcoef(a, b)[0, 1], "target_error_um", "new_point_error_raw_um")
+    assert all(-1 <= entry.low <= entry.mean <= entry.high <= 1 for entry in both)
+    assert sweep.statistic(mean, "target_error_um") == entries
+    with pytest.raises(ModelError, match="expected one number"):
+        sweep.statistic(lambda errors: errors, "target_error_um")
+    with pytest.raises(ModelError, match="ratio over all trials"):
+        sweep.statistic(mean, "share_removed")
+
+
 def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"only opened: to run it, give .*campaign\.toml"):
         lt.campaign(sweep.folder, changes={"trials": 3})

@@ -80,7 +80,7 @@ class Selection:
     ----------
     fit : Fit
     choices : tuple of Choice
-        The surest first.
+        Shifts first, then noise; of each the surest first.
     """
 
     fit: Fit
@@ -283,4 +283,5 @@ def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None, r
             return _judged_again(others[0][1], least, beginning, None, required)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(Choice(h, gain, gains))
-    return Selection(fit, tuple(sorted(choices, key=lambda c: -c.gain)))
+    # Noise beside a shift is what the shift leaves, for nests or times that are not exactly as declared.
+    return Selection(fit, tuple(sorted(choices, key=lambda c: (isinstance(c.hypothesis.change, NoiseFactor), -c.gain))))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import special
@@ -18,6 +19,8 @@ from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
+
+T = TypeVar("T")
 
 
 class Place(Entry):
@@ -77,14 +80,10 @@ MOST_OUTLIERS = 20
 """Outliers that have a test of their own; of more the largest."""
 NOT_EXCLUDED = 0.01
 """Probability from which an alternative is listed."""
-USUAL_SIZES = {
-    12.7e-3: "a 0.5 inch SMR in place of a 1.5 inch one",
-    7.94e-3: "a 7/8 inch SMR in place of a 1.5 inch one",
-    4.76e-3: "a 0.5 inch SMR in place of a 7/8 inch one",
-    17.5e-3: "the constant of a mini prism",
-    34.4e-3: "the constant of a round prism",
-}
-"""[m] Sizes of an offset that have a usual cause: differences of the radii of SMRs, constants of prisms."""
+SMR_SIZES = {12.7e-3: ("0.5 inch", "1.5 inch"), 7.94e-3: ("7/8 inch", "1.5 inch"), 4.76e-3: ("0.5 inch", "7/8 inch")}
+"""[m] Differences of the radii of usual SMRs, with the smaller and the larger one."""
+PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
+"""[m] Constants of usual prisms."""
 NEAR = 60e-6
 """[m] Tolerance between an offset and a nominal size, where the uncertainty of the offset is smaller."""
 
@@ -209,8 +208,9 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         causes = "a temperature, an expansion or the scale of the distances is not as stated"
         return f"The reference lengths and the distances differ in scale by {size}: {causes}."
     if h.kind == "reflector-radius":
-        cause = usual_size(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
-        return f"At {at} the centres of the SMRs are displaced along the normals of their nests by {size}: {cause}."
+        cause = usual_radius(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
+        side = "away from" if values[0] > 0 else "towards"
+        return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
     if h.kind == "station-drift":
         return f"Station {at} moved evenly while it measured, by {size} in all."
     between = _between(fit, h)
@@ -249,9 +249,26 @@ def _plain(value: float) -> str:
 
 
 def usual_size(value: float, sigma: float) -> str:
-    """The usual cause of an offset [m] of such a size; empty for none."""
-    near = [cause for size, cause in USUAL_SIZES.items() if abs(abs(value) - size) < NEAR and sigma < NEAR]
-    return near[0] if near else ""
+    """The usual cause of an offset of distances [m]; empty for none."""
+    pairs = {
+        size: f"the radii of a {small} and a {large} SMR differ by this" for size, (small, large) in SMR_SIZES.items()
+    }
+    return _near({**pairs, **PRISM_CONSTANTS}, value, sigma) or ""
+
+
+def usual_radius(value: float, sigma: float) -> str:
+    """The SMR that was used in place of another, by the motion [m] of its centre away from the nest; empty for none."""
+    pair = _near(SMR_SIZES, value, sigma)
+    if pair is None:
+        return ""
+    used, assumed = reversed(pair) if value > 0 else pair
+    return f"a {used} SMR in place of a {assumed} one"
+
+
+def _near(usual: Mapping[float, T], value: float, sigma: float) -> T | None:
+    """Entry of the usual size [m] that a value has within `NEAR`; None where none has it or its sigma is larger."""
+    close = [entry for size, entry in usual.items() if abs(abs(value) - size) < NEAR and sigma < NEAR]
+    return close[0] if close else None
 
 
 def _outliers(fit: Fit) -> list[Test]:

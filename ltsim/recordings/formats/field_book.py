@@ -7,6 +7,7 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.air import NO_AIR
 from ltsim.recordings.curvature import on_round_earth
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.pointings import NAN, Pointing, numbered, recording_of, settled_heights
@@ -92,6 +93,7 @@ class FieldBook:
             )
         setup = Setup(
             title=self.path.stem,
+            air=NO_AIR,
             instrument=TOTAL_STATION,
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},

@@ -17,6 +17,7 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
+from ltsim.recordings.air import NO_AIR
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, as_title, shown
 from ltsim.recordings.formats.gama_network import (
@@ -298,6 +299,7 @@ def _finished(network: GamaNetwork) -> Recording:
     names = dict.fromkeys([*network.points, *target_heights])
     setup = Setup(
         title=network.title,
+        air=NO_AIR,
         instrument=Instrument(noise=_noise(network), corrected=True),
         gauge=Gauge(distance=tuple(gauge)) if gauge else None,
         stations=stations,

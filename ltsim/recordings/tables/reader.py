@@ -8,6 +8,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, ratio
 from ltsim.geometry.polar import to_face
+from ltsim.recordings.air import NO_AIR
 from ltsim.recordings.conventions import NO_HINTS, Hints, poses_of
 from ltsim.recordings.curvature import on_round_earth
 from ltsim.recordings.files import MAX_TEXT, shown
@@ -15,6 +16,7 @@ from ltsim.recordings.pointings import NAN, PointingColumns, recording_of_column
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Setup
+from ltsim.recordings.specification import TOTAL_STATION
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recordings.tables.instruments import instrument_of, is_total_station
@@ -116,7 +118,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
             notes=(f"noise and set-ups are read from {_setup_file(path, hints)}", *recording.notes)
         )
     instrument, noise = instrument_of(is_total_station(table, meaning, readings))
-    setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument)
+    air = NO_AIR if instrument is TOTAL_STATION else None
+    setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument, air=air)
     recording = assembled(table, meaning, readings, setup, hints, path)
     return recording if states_noise(recording) else recording.replace(notes=(noise, *recording.notes))
 

@@ -12,6 +12,7 @@ from ltsim.adjustment.evaluation.criteria import CRITERIA
 from ltsim.calibration.calibration import NOISE, OUTLIERS, PARAMETERS
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option
 from ltsim.core.notation import fixed, number
 from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided
@@ -49,6 +50,8 @@ from ltsim.simulation.truth import Truth
 if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop, Sights
 
+LEAST_CHANGE = 0.05
+"""[%] Change of a criterion from which it is reported as a change: the last digit that is shown."""
 SETTLED = ("", "converged", "not stated")
 """Statuses of a fit that give no warning."""
 
@@ -73,10 +76,17 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     good = agrees and converged and all(outlier.excluded for outlier in content.outliers)
+    needs_constants = converged and _agrees_with_constants(content)
+    words = _constants_words(content) or words
     first = _parameters(content, truth_of(context)) if content.parameters else []
     fits = _reference_values(content)
     ahead = fits if any(entry.excluded for entry in content.reference_values) else []
-    blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
+    blocks: list[Block] = [
+        *_warnings(content, converged=converged, agrees=agrees),
+        *ahead,
+        *first[:1],
+        *_criteria(content),
+    ]
     blocks += product if good else []  # coordinates of a rejected fit are in the details
     shown = len(blocks) + 1
     if targets is not None and content.stations:
@@ -100,7 +110,7 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
         title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
         kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
         answer=_answer(content, words, targets),
-        mood=mood(good),
+        mood="plain" if needs_constants else mood(good),
         facts=_facts(content, agrees=agrees),
         blocks=blocks,
         actions=_actions(content, good=good),
@@ -123,8 +133,9 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
     if distance is not None and distance.improvement_percent is not None:
         change = distance.improvement_percent
         word = "better" if change >= 0 else "worse"
+        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= LEAST_CHANGE else "as well as"
         begin += (
-            f"; stations agree about distances {abs(change):.1f} % {word} than before "
+            f"; stations agree about distances {compared} before "
             f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
         )
     if content.outliers:
@@ -142,6 +153,23 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
     return f"{begin}.{accuracy}".rstrip()
 
 
+def _agrees_with_constants(content: CalibrationFile) -> bool:
+    """True if the readings agree as soon as the instrument's constants are estimated."""
+    fit = content.with_constants
+    return fit is not None and agreement(fit.chi2, fit.dof, fit.p_value)[0]
+
+
+def _constants_words(content: CalibrationFile) -> str:
+    """Agreement of the readings with and without the instrument's constants; empty where that was not compared."""
+    fit = content.with_constants
+    if fit is None:
+        return ""
+    with_them, without = (agreement(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
+    if _agrees_with_constants(content):
+        return f"the instrument's constants are still in the coordinates; with these estimated {with_them}"
+    return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
+
+
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
@@ -151,22 +179,24 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
-    if content.correction is not None and content.correction.uncorrected_um > 0:
-        expected = f"{number(content.correction.corrected_um, 2)} um, sigma"
-        facts.append(Fact("expected error of a new point, corrected", expected))
+    if agrees and content.correction is not None and content.correction.uncorrected_um > 0:
+        expected = f"{number(content.correction.point_errors_um[1], 3)} um"
+        facts.append(Fact("expected 3D error of a new point, corrected", expected))
     return facts
 
 
-def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
-    """Blocks of warnings: failed convergence, outliers, estimated noise."""
+def _warnings(content: CalibrationFile, *, converged: bool, agrees: bool) -> list[Block]:
+    """Blocks of warnings: failed convergence, outliers, estimated noise. A rejected fit promises no benefit."""
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     if content.verdict.sentence and not content.noise_estimated:
         blocks.append(Note("Verdict", content.verdict.sentence))
+    lines = uncertainty_sentences(content)
+    blocks += [Notes("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        lines = [content.correction.line, *content.correction.sentences]
-        blocks.append(Notes("Benefit of the calibration", [sentence(line) for line in lines]))
+        lines = [*([content.correction.line] if agrees else []), *content.correction.sentences]
+        blocks += [Notes("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
@@ -189,10 +219,16 @@ def _actions(content: CalibrationFile, *, good: bool) -> list[str]:
     if remaining:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option('robust=True')}: {which}.")
+    if content.with_constants is not None:
+        actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
     test = content.fit.p_value
-    if test is not None and test < AGREEMENT_LEVEL / 2 and not content.noise_estimated:
+    if (
+        test is not None
+        and test < AGREEMENT_LEVEL / 2
+        and not (content.noise_estimated or _agrees_with_constants(content))
+    ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
-    if content.verdict.scale_by_sigma0 and not content.noise:
+    if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
     cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
     actions += [f"To determine the open parameters: {cure.rstrip('.')}." for cure in list(cures)[:3]]

@@ -38,6 +38,7 @@ UNITED = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
 )
+HIDDEN = "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
 MOST_BARS, MOST_TESTS = 40, 200
 AGAINST = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
@@ -148,6 +149,11 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
     caption = "Contributions to the variance of each result; the widest bar is the best to improve."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
+    hidden = [
+        [r.task, r.name, part.source, number(part.change, 3), r.unit] for r in content.results for part in r.hidden
+    ]
+    header = ["task", "result", "error", "change of the result", "unit"]
+    blocks += [Grid("Errors that no reading shows", header, hidden, 3, note=HIDDEN)] if hidden else []
     blocks += [Notes("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
@@ -236,7 +242,7 @@ def history_section(content: HistoryFile, _: ReportContext) -> Section:
         Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],
-              note="If sigma0 is far above 1, the sigmas are too small and changes appear too significant."),
+              note="Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."),
     ]  # fmt: skip
     facts = [
         Fact("calibrations", str(len(labels))),

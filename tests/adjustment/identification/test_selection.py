@@ -15,6 +15,7 @@ from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_
 from ltsim.adjustment.identification.fit import Fit, changed_recording
 from ltsim.adjustment.identification.library import candidates
 from ltsim.adjustment.identification.screen import _distances_aside
+from ltsim.adjustment.identification.tests import usual_radius
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import robust_state
 from ltsim.core.arrays import Floats, Ints
@@ -253,3 +254,31 @@ def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
     quiet, nothing = variance_factor(np.array([300.0]), np.array([300.0]))
     assert quiet == pytest.approx(1.0)
     assert nothing == pytest.approx(0.0)
+
+
+SMRS = [
+    (12.7, "a 1.5 inch SMR in place of a 0.5 inch one"),
+    (-12.7, "a 0.5 inch SMR in place of a 1.5 inch one"),
+    (-7.94, "a 7/8 inch SMR in place of a 1.5 inch one"),
+]
+
+
+@pytest.mark.parametrize(("size", "sentence"), SMRS)
+def test_the_sign_says_which_smr_was_used(size: float, sentence: str) -> None:
+    assert usual_radius(1e-3 * size + 1e-5, 1e-5) == sentence
+    assert usual_radius(1e-3 * size + 1e-4, 1e-5) == usual_radius(1e-3 * size, 1e-4) == ""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("size", "sentence"), SMRS[::2])
+def test_another_smr_at_a_station_comes_before_the_noise_that_it_leaves(size: float, sentence: str) -> None:
+    """Nests are declared on a floor plan: what the rest of its tilt makes of so large an offset scatters."""
+    effect = {"name": "smr-offset", "stations": ["S4"], "values": {"radius-difference": size}}
+    recording, _ = lt.simulate("paper-workshop-two-face", seed=21, changes={"effects": [effect]})
+    first, *others = outcomes(identified(recording))
+    assert (first.kind, first.where.stations) == ("reflector-radius", ("S4",))
+    assert first.estimate == pytest.approx(size, abs=0.05)
+    assert sentence in first.sentence
+    assert ("away from" in first.sentence) == (size > 0)
+    assert [test.kind for test in others if test.accepted and test.kind != "outlier"] in ([], ["noise-level"])
+    assert sentence in lt.check(recording).sentence

@@ -1,0 +1,139 @@
+"""Uncertainty as it is reported: larger where the readings contradict the model, with the air along long sights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.joint import MOST_TARGETS, covariance_csv
+from ltsim.adjustment.unmodelled import (
+    air_covariance,
+    counted_air,
+    hidden_displacements,
+    joint_air_covariance,
+    longest_sight,
+)
+from ltsim.adjustment.verdict import Verdict
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.schema import Fit, FittedEffectEntry, ReflectorEntry, StationPose
+from ltsim.calibration.uncertainty import HiddenError
+from ltsim.core.arrays import Floats
+from ltsim.core.probability import AGREEMENT_LEVEL
+from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.physics.effects.air import air_words
+
+FittedT = TypeVar("FittedT", FittedEffectEntry, ReflectorEntry)
+MATTERS = 0.2
+"""An error that no reading shows is reported from this share of the targets' rms standard deviation on."""
+
+
+def uncertainty_factor(fit: Fit, verdict: Verdict | None = None) -> float:
+    """Factor on the standard deviations: sigma0 where it is significantly above 1, not by single readings; else 1.
+
+    Without a verdict the global test decides, at the level `AGREEMENT_LEVEL`.
+    """
+    if fit.sigma0 is None or fit.sigma0 <= 1.0:
+        return 1.0
+    rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
+    return fit.sigma0 if (rejected if verdict is None else verdict.by_estimate) else 1.0
+
+
+def reported(calibration: Calibration) -> Calibration:
+    """The calibration with the standard deviations of its targets, stations and parameters as they are reported."""
+    adjustment, factor = calibration.adjustment, uncertainty_factor(calibration.fit, calibration.verdict)
+    if adjustment is None:
+        return calibration
+    unknowns = adjustment.problem.unknowns
+    covariance = factor**2 * calibration.target_covariance + air_covariance(adjustment, unknowns.target)
+    stations = air_covariance(adjustment, unknowns.pose)
+    return replace(
+        calibration,
+        covariance=_scaled_parameters(calibration, factor),
+        target_covariance=covariance,
+        stations=tuple(_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)),
+        effects=tuple(_fitted(effect, factor) for effect in calibration.effects),
+        reflectors=tuple(_fitted(reflector, factor) for reflector in calibration.reflectors),
+        constants_included=bool(calibration.names) or adjustment.recording.is_corrected,
+        uncertainty_factor=factor,
+        air=_air_words(adjustment),
+        hidden=_hidden(adjustment, covariance),
+    )
+
+
+def joint_csv(calibration: Calibration) -> str | None:
+    """The content of `targets.covariance.csv`; None for many targets or without a network."""
+    adjustment = calibration.adjustment
+    if adjustment is None or len(calibration.targets) > MOST_TARGETS:
+        return None
+    added = joint_air_covariance(adjustment)
+    return covariance_csv(adjustment, factor=calibration.uncertainty_factor, added=added)
+
+
+def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
+    """Covariance (I p, I p) with the noise of the readings multiplied by a factor; the prior stays as it is.
+
+    With C the covariance in prior standard deviations, C^-1 - 1 is the information of the readings: it falls by the
+    factor squared.
+    """
+    covariance, adjustment = calibration.covariance, calibration.adjustment
+    free = np.flatnonzero(~calibration.held.ravel())
+    if factor == 1.0 or not len(free) or adjustment is None:
+        return covariance
+    if calibration.method != "network":
+        return factor**2 * covariance
+    root = block_diag(*adjustment.problem.prior.roots)[np.ix_(free, free)]
+    size, basis = np.linalg.eigh(root @ covariance[np.ix_(free, free)] @ root.T)
+    size = np.clip(size, np.finfo(np.float64).tiny, 1.0)
+    wider = np.linalg.solve(root, basis * np.sqrt(1.0 / (1.0 + (1.0 / size - 1.0) / factor**2)))
+    scaled = np.zeros_like(covariance)
+    scaled[np.ix_(free, free)] = wider @ wider.T
+    return scaled
+
+
+def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
+    """A pose with its standard deviations multiplied by a factor and the covariance (6, 6) of the air added."""
+    air = np.sqrt(np.diag(added))
+    sizes = {}
+    for name, unit, part in (
+        ("sigma_position_mm", MILLIMETRE, air[:3]),
+        ("sigma_rotation_arcsec", ARCSECOND, air[3:]),
+    ):
+        sigma = getattr(pose, name)
+        if sigma is not None:
+            given = np.array([np.nan if value is None else value for value in sigma])
+            sizes[name] = tuple(np.hypot(factor * given, part / unit).tolist())
+    return pose.model_copy(update=sizes)
+
+
+def _fitted(entry: FittedT, factor: float) -> FittedT:
+    """An entry of fitted parameters with their standard deviations multiplied by a factor."""
+    parameters = tuple(
+        p if p.sigma is None else p.model_copy(update={"sigma": factor * p.sigma}) for p in entry.parameters
+    )
+    return entry.model_copy(update={"parameters": parameters})
+
+
+def _hidden(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
+    """Errors that no reading shows and that move the targets by more than `MATTERS` of their standard deviation."""
+    variance = np.einsum("tii->t", covariance)
+    determined = np.isfinite(variance)
+    if not determined.any():
+        return ()
+    usual, sizes = np.sqrt(np.mean(variance[determined])), hidden_displacements(adjustment)
+    return tuple(
+        HiddenError(source=name, target_error_um=size / MICROMETRE)
+        for name, size in sorted(sizes.items(), key=lambda item: -item[1])
+        if size > MATTERS * usual
+    )
+
+
+def _air_words(adjustment: Adjustment) -> str:
+    """Errors of the air in the standard deviations, in words; empty where ranges are short or nothing is declared."""
+    air = counted_air(adjustment)
+    if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
+        return ""
+    return air_words(air, longest_sight(adjustment))

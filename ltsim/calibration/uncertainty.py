@@ -1,0 +1,67 @@
+"""Errors that the standard deviations of a calibration include, and errors that they do not, in sentences."""
+
+from typing import Protocol
+
+from ltsim.core.notation import number
+from ltsim.recordings.result_file import Entry, NotNegative, Positive
+
+
+class HiddenError(Entry):
+    """Error that no reading of the recording shows; no standard deviation includes it."""
+
+    source: str
+    """Description of the error, with its size."""
+    target_error_um: NotNegative
+    """Rms displacement [um] of the targets by it, after the best rigid fit."""
+
+
+class UncertaintyEntry(Entry):
+    """Errors that standard deviations include, or do not include."""
+
+    constants_included: bool = True
+    """The instrument's constants were estimated, or the set-up declares the instrument corrected."""
+    uncertainty_factor: Positive = 1.0
+    """Factor in all standard deviations and covariances: sigma0 where the readings contradict the model, else 1."""
+    air: str = ""
+    """Errors of the air in the standard deviations of targets and stations; empty where ranges are short."""
+    hidden: tuple[HiddenError, ...] = ()
+    """Errors that no reading shows and that matter, the largest first; no standard deviation includes them."""
+
+
+class UncertaintyBasis(Protocol):
+    """Fields of a calibration that say what its standard deviations include."""
+
+    @property
+    def uncertainty_factor(self) -> float: ...  # noqa: D102
+    @property
+    def air(self) -> str: ...  # noqa: D102
+    @property
+    def hidden(self) -> tuple[HiddenError, ...]: ...  # noqa: D102
+    @property
+    def constants_included(self) -> bool: ...  # noqa: D102
+
+
+def uncertainty_sentences(result: UncertaintyBasis) -> list[str]:
+    """Sentences on the standard deviations of a result: their factor, the air in them, and errors beyond them."""
+    sentences = []
+    if result.uncertainty_factor > 1.0:
+        sentences.append(
+            "The readings contradict the model: all standard deviations are multiplied by sigma0 = "
+            f"{number(result.uncertainty_factor, 3)}. Where a single cause acts, coordinates may be off by more."
+        )
+    if not result.constants_included:
+        sentences.append(
+            "The standard deviations do not include errors of the instrument: its constants were not estimated. Use "
+            "ltsim calibrate, or declare the instrument corrected."
+        )
+    if result.air:
+        sentences.append(
+            f"The standard deviations of targets and stations include the {result.air}. Change it as [air] of the "
+            "set-up."
+        )
+    if result.hidden:
+        sizes = "; ".join(f"{error.source}: {number(error.target_error_um, 2)} um (rms)" for error in result.hidden)
+        sentences.append(
+            f"No reading shows the following errors of the targets, and no standard deviation includes them: {sizes}."
+        )
+    return sentences
