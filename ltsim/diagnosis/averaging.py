@@ -17,6 +17,7 @@ from scipy.special import ndtri
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.refit import Refit
+from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import Targets
 from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
@@ -49,7 +50,9 @@ def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Rankin
     deviations = np.concatenate(open_)
     residual_shift = (1.0 - _safe_share(fitted.adjustment, by_laws, deviations)) * by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
-    covariance = fitted.adjustment.target_covariance + np.einsum("kti,ktj->tij", spread, spread)
+    adjustment = fitted.adjustment
+    covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target)
+    covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
     return Targets(points - residual_shift, covariance, spread)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.joint import COVARIANCE, covariance_csv
+from ltsim.adjustment.unmodelled import joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -41,7 +42,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         RESIDUALS.file: diagnosis.table("residuals").csv(),
         BEFORE.file: diagnosis.table("residuals_before").csv(),
     }
-    covariance = covariance_csv(diagnosis.adjusted, diagnosis.targets.spread)
+    added = joint_air_covariance(diagnosis.adjusted)
+    covariance = covariance_csv(diagnosis.adjusted, diagnosis.targets.spread, added=added)
     texts |= {} if covariance is None else {COVARIANCE: covariance}
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING)

@@ -20,6 +20,8 @@ from ltsim.physics.laws.names import name_of
 from ltsim.physics.laws.regressor_library import waves
 from ltsim.scene.sightings import Sightings
 
+LEAST_SWITCHED = 2
+"""Smallest number of times within set-ups at which something is switched: a single step has cards."""
 MOST_PIECES, EARLY_STOP = 10, 3
 """Largest number of steps and ramps, and of those tried after the evidence has last risen."""
 
@@ -91,6 +93,12 @@ def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
 
 
+def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
+    """True if a set-up has pointings before and after a time; changes between set-ups are absorbed by their poses."""
+    stays = (sightings.time[sightings.station == station] for station in np.unique(sightings.station))
+    return any(stay.min() < time < stay.max() for stay in stays)
+
+
 def _courses(law: Law, sightings: Sightings) -> int:
     """Number of drivers, of which this one is among the best, that a switch may turn out to be: every wave's rate."""
     return (
@@ -127,6 +135,8 @@ def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) ->
         if value > best + TIE:
             on, best, taken = states[-1], value, len(states) - 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
+    if sum(_is_within_a_set_up(edge.constant, sightings) for edge in chosen) < LEAST_SWITCHED:
+        return []
     refined, value = exact.refine_locally([law.switched(chosen)], base)[0]
     prior -= float(taken * price)
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]

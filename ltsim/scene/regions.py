@@ -77,6 +77,11 @@ class Region:
         lever: Floats = sightings.derived[key]
         return lever
 
+    def targets_within(self, sightings: Sightings) -> float:
+        """Effective number of targets in the region, (sum of w)^2 over the sum of w^2."""
+        near = self.nearness(sightings)[np.unique(sightings.target, return_index=True)[1]]
+        return float(near.sum() ** 2 / max(np.sum(near**2), 1e-300))
+
     def nearness(self, sightings: Sightings) -> Floats:
         """Weight w (n,) at the targets."""
         at = ["xyz".index(axis) for axis in self.axes]

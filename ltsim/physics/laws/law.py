@@ -16,7 +16,7 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.signature import Parameter, Tunable
 from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, indicator_columns
 from ltsim.physics.laws.places import LEAST_GROUP
-from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP
+from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP, is_near_several
 from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, pieces, simple, smooth, switch
 from ltsim.physics.laws.responses import RESPONSES, ResponseTerm
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS
@@ -148,7 +148,9 @@ class Law(Tunable):
         if (driver.kind == "pieces" and len(driver.factors) <= MOVED) or driver.kind == "switch":
             return self._with_moved_pieces(sightings)
         if driver.region is not None:
-            return [replace(self, driver=driver.through(region)) for region in driver.region.neighbours()]
+            near = driver.kind == "near"
+            moved = [r for r in driver.region.neighbours() if not near or is_near_several(r, sightings)]
+            return [replace(self, driver=driver.through(region)) for region in moved]
         if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         if driver.kind == "latch":

@@ -30,7 +30,7 @@ from ltsim.physics.laws.regressors import (
     smooth,
 )
 from ltsim.physics.laws.states import FADES, INPUTS, latches_of, states_of
-from ltsim.scene.regions import regions_of
+from ltsim.scene.regions import Region, regions_of
 from ltsim.scene.sightings import Sightings
 
 POINTED = ("azimuth", "elevation", "distance")
@@ -68,6 +68,8 @@ DRIVES: dict[str, tuple[str, ...]] = {
 """Covariates that each kind of carrier can depend on, in addition to columns of the recording: a wall does not depend
 on the pointing of a tracker; its stand does, for a head is never quite in balance, and the floor gives under whoever
 holds the reflector."""
+LEAST_NEAR = 2.5
+"""Smallest effective number of targets near a place."""
 PLACES_NEAR = ("xyz", "xy")
 """Shapes of the regions near which a target may be."""
 DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
@@ -155,11 +157,16 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "shape": [simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS],
         "passage": [passage(region) for region in regions_of(s)],
         "lever": [passage(region, LEVER) for region in regions_of(s)],
-        "near": [near(region) for region in regions_of(s, PLACES_NEAR)],
+        "near": [near(region) for region in regions_of(s, PLACES_NEAR) if is_near_several(region, s)],
         "state": [memory(*made) for made in states_of(s, _varying(s, INPUTS))],
         "latch": [latch(*made) for made in latches_of(s, _varying(s, (*POINTED, *columns)))],
         "product": list(products(s)),
     }
+
+
+def is_near_several(region: Region, sightings: Sightings) -> bool:
+    """True if several targets are in a region: one alone is an error of that target."""
+    return region.targets_within(sightings) > LEAST_NEAR
 
 
 def local_drivers(sightings: Sightings) -> list[Regressor]:
@@ -227,7 +234,7 @@ def products(sightings: Sightings) -> Iterator[Regressor]:
     weights = [simple("distance", "power"), simple("elevation", "power")]
     for name in _varying(sightings, WORK):  # heat that the drives leave
         fading = [memory(name, how, k) for name, how, k in states_of(sightings, (name,)) if how == FADES]
-        yield from (Regressor("product", factors=(left, weight)) for left in fading for weight in weights)
+        yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
     for move in _varying(sightings, [f"move-{name}" for name in POINTED]):
         lengths = (simple(move, how) for how in ("abs", "power"))

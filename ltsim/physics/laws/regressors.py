@@ -283,7 +283,7 @@ def memory(name: str, function: str, constant: float) -> Regressor:
 
 
 def latch(name: str, above: float, below: float) -> Regressor:
-    """What is set where a quantity rises above a threshold, and released where it falls below another."""
+    """A driver that is set where a quantity rises above a threshold, and released where it falls below another."""
     return Regressor("latch", (name,), constant=above, released=below)
 
 

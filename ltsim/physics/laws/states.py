@@ -155,7 +155,7 @@ def _added(sightings: Sightings, name: str) -> Floats:
 
 
 def _factor(sightings: Sightings, how: str, constant: float) -> Floats:
-    """What is left (n,) of a state at each pointing: 0 where it is released."""
+    """Share (n,) of a state that remains at each pointing: 0 where it is released."""
     came = (sightings.previous >= 0).astype(np.float64)
     if how == FADES:
         return came * np.exp(-sightings.quantities["lapse"] / constant)

@@ -9,6 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.regressor_library import is_near_several, regressors_of
 from ltsim.physics.laws.regressors import latch, simple, switch
 from ltsim.physics.laws.responses import RESPONSES
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS, INPUTS, latches_of, state, states_of
@@ -126,3 +127,14 @@ def test_nearness_falls_with_the_distance_of_the_target(sightings: Sightings) ->
     region = Region("xy", (1.0, 2.0), 0.5)
     gap = np.hypot(*(sightings.points[sightings.target][:, :2] - (1.0, 2.0)).T)
     np.testing.assert_allclose(region.nearness(sightings), np.exp(-2.0 * gap**2), atol=1e-12)
+
+
+def test_a_place_has_several_targets_near_it_wherever_it_is_moved(sightings: Sightings) -> None:
+    """A region at one target alone would be an error of that target in other words."""
+    tried = regressors_of(sightings)["near"]
+    assert tried and all(is_near_several(driver.region, sightings) for driver in tried)
+    law = Law(carrier=RESPONSES["distance"][0], driver=min(tried, key=lambda d: d.region.targets_within(sightings)))
+    assert all(is_near_several(other.driver.region, sightings) for other in law.finer(sightings))
+    alone = Region("xyz", tuple(sightings.points[0].tolist()), 0.02)
+    assert alone.targets_within(sightings) == pytest.approx(1.0, abs=1e-6)
+    assert not is_near_several(alone, sightings)
