@@ -40,7 +40,7 @@ class AcceptancePlan:
 
     @cached_property
     def is_length(self) -> Bools:
-        """(k,): lengths; the others are two-face tests."""
+        """Lengths; the others are two-face tests, (k,)."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
@@ -69,14 +69,14 @@ class AcceptancePlan:
 
     @cached_property
     def sensitivities(self) -> Floats:
-        """(k, 2, p) [m per SI unit]: change of the errors with each constant, by central differences."""
+        """Change of the errors with each constant, by central differences, (k, 2, p) [m per SI unit]."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
         columns = [(self.errors(s) - self.errors(-s)) / (2 * s.sum()) for s in steps]
         return np.stack(columns, axis=2)
 
     @cached_property
     def scatter(self) -> Floats:
-        """(k, 2) [m]: standard deviations of the errors by the noise of the readings."""
+        """Standard deviations of the errors by the noise of the readings, (k, 2) [m]."""
         first, second = self._ends
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
@@ -175,9 +175,9 @@ class AcceptancePrediction:
 
     errors: Floats
     sigma: Floats
-    """(k, 2) [m]: expected errors and their standard deviations, noise included."""
+    """Expected errors and their standard deviations, noise included, (k, 2) [m]."""
     passes: Floats
-    """(k,): chance that each test is passed."""
+    """Chance that each test is passed, (k,)."""
     all_pass: float
     """Chance that all are."""
     group_passes: dict[str, float]
@@ -185,7 +185,7 @@ class AcceptancePrediction:
 
 
 def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats:
-    """(3 n, p) [m]: displacement of front-face points (n, 3) [m] by each constant at `scale`, after a best fit.
+    """Displacement of front-face points (n, 3) [m] by each constant at `scale`, after a best fit, (3 n, p) [m].
 
     A common shift and turn of all points does no harm.
     """

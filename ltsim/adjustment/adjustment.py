@@ -65,7 +65,7 @@ class Adjustment(Result):
     problem: NetworkProblem
     solution: Solution[State]
     gross: Bools
-    """(n,): pointings that were left out because they miss their target by far."""
+    """Pointings that were left out because they miss their target by far, (n,)."""
     components: tuple[Component, ...] = ()
     """Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it."""
     unconnected: tuple[str, ...] = ()
@@ -257,7 +257,7 @@ class Adjustment(Result):
 
     @property
     def rejected(self) -> Bools:
-        """(n, 3) bool: measured readings that were not used."""
+        """Measured readings that were not used, (n, 3) bool."""
         return self.recording.measured & ~self.problem.use
 
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
@@ -363,7 +363,7 @@ class Adjustment(Result):
 
     @cached_property
     def open_heights(self) -> Bools:
-        """(T,): targets in plan only, that no reading gives a height."""
+        """Targets in plan only, that no reading gives a height, (T,)."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 

@@ -33,9 +33,9 @@ class Tied:
     places: Floats
     """Coordinates (k, 3) [m] of the points."""
     approximate: Floats
-    """(k, 3) [m]: approximate coordinates, NaN where none are stated and along axes that do not count."""
+    """Approximate coordinates, NaN where none are stated and along axes that do not count, (k, 3) [m]."""
     counts: Bools
-    """(k, 3): coordinates that the datum is tied to."""
+    """Coordinates that the datum is tied to, (k, 3)."""
 
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
@@ -108,11 +108,11 @@ class InnerDatum:
     """
 
     motion: Floats
-    """(u, f): g, the free motions of all unknowns."""
+    """Matrix g of the free motions of all unknowns, (u, f)."""
     carried: Floats
-    """(u, f): u."""
+    """Matrix u, (u, f)."""
     middle: Floats
-    """(f, f): m."""
+    """Matrix m, (f, f)."""
     names: tuple[str, ...] = ()
     """The points it is tied to."""
 

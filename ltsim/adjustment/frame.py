@@ -33,22 +33,22 @@ class Frame:
     """Prior knowledge of the network's frame; NaN where nothing is declared."""
 
     points: Floats
-    """(T, 3) [m]: targets that define it: known ones, and approximate ones that were chosen for the datum."""
+    """Targets that define it: known ones, and approximate ones that were chosen for the datum, (T, 3) [m]."""
     stations: Floats
-    """(S, 3) [m]: the same for instruments over marks that are no targets."""
+    """The same for instruments over marks that are no targets, (S, 3) [m]."""
     level: Bools
     """(S,)."""
     marks: Marks
     plan: Floats
-    """(S, 3) [m]: rough places of the stations on a floor plan."""
+    """Rough places of the stations on a floor plan, (S, 3) [m]."""
     yaw: Floats
     """(S,) [rad]: where the zero of each circle points on that plan."""
     oriented: Bools
-    """(S,): stations whose yaw is known, not only roughly."""
+    """Stations whose yaw is known, not only roughly, (S,)."""
     near: Floats
-    """(T, 3) [m]: known or approximate places of the targets."""
+    """Known or approximate places of the targets, (T, 3) [m]."""
     in_plan: Floats
-    """(T, 3) [m]: targets that are known along x and y at least, with height 0."""
+    """Targets that are known along x and y at least, with height 0, (T, 3) [m]."""
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:
@@ -261,11 +261,11 @@ class Pairs:
     target: Ints
     """(m,) each."""
     points: Floats
-    """(m, 3) [m]: the target in the station's own frame."""
+    """The target in the station's own frame, (m, 3) [m]."""
     begin: Ints
     """(S + 1,): where each station's pairs begin."""
     order: Ints
-    """(m,): pairs in the order of their targets."""
+    """Pairs in the order of their targets, (m,)."""
     first: Ints
     """(T + 1,): where each target's pairs begin in that order."""
 

@@ -28,7 +28,7 @@ class ParameterPrior:
     covariance: Floats
     """(I, p, p) [SI]."""
     held: Bools
-    """(I, p): parameters that stay at their mean whatever the readings say."""
+    """Parameters that stay at their mean whatever the readings say, (I, p)."""
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:

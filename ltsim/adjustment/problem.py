@@ -43,13 +43,13 @@ class NetworkProblem(NetworkRows):
     """
 
     sigma: Floats
-    """(n, 3): standard deviations of the readings."""
+    """Standard deviations of the readings, (n, 3)."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
     extra_sigma: Floats
     """(q,): of the further effects' parameters; infinite for none."""
     free: Floats
-    """(6, f): rigid motions that only the datum holds."""
+    """Rigid motions that only the datum holds, (6, f)."""
 
     @classmethod
     def of(

@@ -47,7 +47,7 @@ class ReferenceRows(ReferenceValue):
     """A known value in the rows of an adjustment."""
 
     rows: Ints
-    """(r,): rows of the system that its error reaches."""
+    """Rows of the system that its error reaches, (r,)."""
     signature: Floats
     """(r, q): what an error of 1 [m, rad] in each component does to them."""
 

@@ -30,7 +30,7 @@ class ResidualSpace:
     projection: Projection
     """Off the whitened design, and further signatures where they are estimated too."""
     residual: Floats
-    """(m,): whitened residuals, orthogonal to the design."""
+    """Whitened residuals, orthogonal to the design, (m,)."""
     adjustment: Adjustment
 
     @classmethod
@@ -47,7 +47,7 @@ class ResidualSpace:
 
     @property
     def use(self) -> Bools:
-        """(n, 3): readings in use, the first rows."""
+        """Readings in use, the first rows, (n, 3)."""
         return self.adjustment.problem.use
 
     @property
@@ -62,7 +62,7 @@ class ResidualSpace:
 
     @cached_property
     def redundancy(self) -> Floats:
-        """(m,): share of an error of a row that stays in its residual."""
+        """Share of an error of a row that stays in its residual, (m,)."""
         return 1.0 - self.projection.leverage()
 
     @cached_property

@@ -27,11 +27,11 @@ class GaugeRows(ReferenceLengths):
     """Known lengths brought to the workshop, some of them without weight."""
 
     idle: Bools | bool = False
-    """(g,): lengths without weight."""
+    """Lengths without weight, (g,)."""
 
     @cached_property
     def sigma(self) -> Floats:
-        """(g,) [m]: standard deviation of each length by itself, infinite for one without weight."""
+        """Standard deviation of each length by itself, infinite for one without weight, (g,) [m]."""
         return np.where(self.idle, np.inf, super().sigma)
 
     @cached_property
@@ -46,7 +46,7 @@ class GaugeRows(ReferenceLengths):
 
     @property
     def spread(self) -> Floats:
-        """(g, g) [m]: change of the lengths by independent standard deviations, the inverse of `whitened`."""
+        """Change of the lengths by independent standard deviations, the inverse of `whitened`, (g, g) [m]."""
         return np.diag(self.sigma) if self.root is None else self.sigma[:, None] * self.root
 
     def whitened(self, values: Floats) -> Floats:
@@ -77,13 +77,13 @@ class ControlRows:
     """Places with known coordinates: targets, or stations over marks that are no targets."""
 
     target: Ints
-    """(k,): index of the target, or of the station."""
+    """Index of the target, or of the station, (k,)."""
     points: Floats
     """(k, 3) [m]."""
     axes: Bools
-    """(k, 3): coordinates that are known."""
+    """Coordinates that are known, (k, 3)."""
     root: Floats
-    """(k, 3, 3) [1 / m]: whitens the gap of the known coordinates, R' R their inverse covariance; 0 for the others."""
+    """Whitens the gap of the known coordinates, R' R their inverse covariance; 0 for the others, (k, 3, 3) [1 / m]."""
 
     @classmethod
     def of(cls, recording: Recording) -> ControlRows:
@@ -189,7 +189,7 @@ class DifferenceRows(ControlRows):
 
     @property
     def ends(self) -> Ints:
-        """(2, k): places at either end."""
+        """Places at either end, (2, k)."""
         return np.stack([self.start, self.target])
 
     def subset(self, chosen: Bools) -> DifferenceRows:
@@ -351,13 +351,13 @@ class Marks:
     """Marks over which the set-ups of a recording stand."""
 
     target: Ints
-    """(S,): the target whose mark a set-up stands on, -1 for none."""
+    """The target whose mark a set-up stands on, -1 for none, (S,)."""
     first: Ints
-    """(S,): the first set-up on the same mark that is no target; itself where it stands alone."""
+    """The first set-up on the same mark that is no target; itself where it stands alone, (S,)."""
     names: tuple[str, ...]
     """Name of the mark of each set-up, '' where it has none."""
     vertical: Floats
-    """(S, 3): direction of plumb, unit."""
+    """Direction of plumb, unit, (S, 3)."""
     offset: Floats
     """(S, 3) [m]: from the mark to the instrument."""
 

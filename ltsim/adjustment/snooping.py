@@ -146,9 +146,9 @@ class Screened(NamedTuple):
     network: tuple[Floats, Floats, Floats]
     """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3), freed of the start's own errors."""
     gross: Bools
-    """(n,): pointings that land elsewhere by more than any tracker error."""
+    """Pointings that land elsewhere by more than any tracker error, (n,)."""
     lost: Bools
-    """(T,): targets that nothing ties to the rest."""
+    """Targets that nothing ties to the rest, (T,)."""
 
 
 @refusing_singular

@@ -24,7 +24,7 @@ class Unknowns:
     """
 
     pose: Ints
-    """(S, 6): translation, then rotation."""
+    """Translation, then rotation, (S, 6)."""
     target: Ints
     """(T, 3): targets of known lengths and differences and those under a set-up are kept, all others are eliminated
     block by block."""
@@ -80,7 +80,7 @@ class NetworkRows:
 
     model: MeasurementModel
     use: Bools
-    """(n, 3): readings in use."""
+    """Readings in use, (n, 3)."""
     gauge: GaugeRows
     control: ControlRows
     levels: LevelRows
@@ -115,7 +115,7 @@ class Structure:
     unread_stations: Ints
     """Stations without any reading."""
     unseen: Bools
-    """(T,): targets without a reading in use, known coordinates or a set-up on them."""
+    """Targets without a reading in use, known coordinates or a set-up on them, (T,)."""
     height_free_targets: Bools
     """(T,): targets of which levelled set-ups read, or under which they read, horizontal directions and horizontal
     distances alone: nothing tells their height."""

@@ -104,7 +104,7 @@ class Calibration(Result):
     prior_sigma: Floats
     """(I, p) [SI] each."""
     covariance: Floats
-    """(I p, I p) [SI]: zero for parameters that were held."""
+    """Zero for parameters that were held, (I p, I p) [SI]."""
     fit: Fit
     undetermined: tuple[Combination, ...]
     frame: str
@@ -125,15 +125,15 @@ class Calibration(Result):
     undetermined_targets: tuple[str, ...] = ()
     axes: AxesEntry | None = None
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """(I, p): parameters that were not estimated but held at their value."""
+    """Parameters that were not estimated but held at their value, (I, p)."""
     prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """(I, p): parameters whose prior the readings contradict, and whose estimate follows them."""
+    """Parameters whose prior the readings contradict, and whose estimate follows them, (I, p)."""
     history_prior: bool = False
     null_space: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    """(k, I p): combinations, in prior sigmas, that a distance method did not estimate: they stay at zero."""
+    """Combinations, in prior sigmas, that a distance method did not estimate: they stay at zero, (k, I p)."""
     correction: Correction | None = None
     applied_values: Floats | None = None
-    """(I, p) [SI]: parameters to apply to readings; None where these are the estimates."""
+    """Parameters to apply to readings; None where these are the estimates, (I, p) [SI]."""
     effects: tuple[FittedEffectEntry, ...] = ()
     reflectors: tuple[ReflectorEntry, ...] = ()
     constants_included: bool = True

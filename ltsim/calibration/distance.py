@@ -163,12 +163,12 @@ class Propagation:
 
     @cached_property
     def _response(self) -> Floats:
-        """(size, m): A."""
+        """Matrix A, (size, m)."""
         return self.adjustment.factor.covariance_columns(np.ascontiguousarray(self._design.T))
 
     @cached_property
     def _by_parameter(self) -> Floats:
-        """(m, I p): B in units of the prior sigmas; gauge lengths do not depend on the parameters."""
+        """B in units of the prior sigmas; gauge lengths do not depend on the parameters, (m, I p)."""
         recording, (count, size) = self.recording, self.values.shape
         state = self.adjustment.state
         at = State(state.position, state.rotation, state.points, self.values)
@@ -182,7 +182,7 @@ class Propagation:
 
     @cached_property
     def _with_noise(self) -> Floats:
-        """(m, I p): covariance of the whitened noise with the parameters' error."""
+        """Covariance of the whitened noise with the parameters' error, (m, I p)."""
         readings = 3 * len(self.recording)
         noise = self.estimate.noise
         return np.concatenate([noise[:, self._used], noise[:, readings:]], axis=1).T

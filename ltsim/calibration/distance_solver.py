@@ -53,7 +53,7 @@ class Estimates:
     covariance: Floats
     """(q, q): of the error, that of the combinations left at zero included."""
     noise: Floats
-    """(q, 3 n + g): covariance of the error with the whitened readings and gauge lengths."""
+    """Covariance of the error with the whitened readings and gauge lengths, (q, 3 n + g)."""
     undetermined: tuple[Direction, ...]
     objective: float
     """Objective at the minimum: [m^2] for least squares, [m] for absolute deviations."""

@@ -38,9 +38,9 @@ class LikelihoodInformation:
     """Information of a calibration's readings without its prior, in units of common prior sigmas."""
 
     remaining: Floats
-    """(p, p): covariance after the calibration."""
+    """Covariance after the calibration, (p, p)."""
     information: Floats
-    """(p, p): inverse covariance less that of the prior; 0 for combinations with a gain under `UNINFORMATIVE`."""
+    """Inverse covariance less that of the prior; 0 for combinations with a gain under `UNINFORMATIVE`, (p, p)."""
     information_vector: Floats
     """(p,): `information` times the estimate that the readings alone would give."""
 

@@ -44,7 +44,7 @@ class Population(ValueEquality):
     covariance: Floats
     """(p, p) [SI], of the mean."""
     spread: Floats
-    """(p,) [SI]: standard deviation of the parameters themselves between calibrations, without that of their estimates.
+    """Standard deviation of the parameters themselves between calibrations, without that of their estimates, (p,) [SI].
     """
 
 
@@ -57,7 +57,7 @@ class History(Result):
     calibrations: tuple[Calibration, ...]
     """Each of one instrument, all with the same construction."""
     days: Floats | None = None
-    """(K,): days since the first; None where not all are dated."""
+    """Days since the first; None where not all are dated, (K,)."""
 
     @classmethod
     def of(

@@ -47,7 +47,7 @@ class DistanceProblem:
     """Rows without a range or an angle are not used."""
     construction: Construction
     prior_sigma: Floats
-    """(I, p): the unknowns are in units of these."""
+    """The unknowns are in units of these, (I, p)."""
 
     @cached_property
     def gauge(self) -> GaugeRows:
@@ -56,7 +56,7 @@ class DistanceProblem:
 
     @cached_property
     def sets(self) -> Ints:
-        """(n,) int: station and face of each row as one number from 0."""
+        """Station and face of each row as one number from 0, (n,) int."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
         return number.astype(np.int64)
 

@@ -87,17 +87,17 @@ class Stack(CellTruth):
 
     @cached_property
     def nominal(self) -> Floats:
-        """(n, 3, B): nominal readings."""
+        """Nominal readings, (n, 3, B)."""
         return self.gathered(truth.recording.readings for truth in self.truths)
 
     @cached_property
     def local(self) -> Floats:
-        """(n, 3, B): targets in the instruments' frames."""
+        """Targets in the instruments' frames, (n, 3, B)."""
         return self.gathered(truth.sightings.local for truth in self.truths)
 
     @cached_property
     def jacobian(self) -> Floats:
-        """(n, 3, 3, B): ideal derivative of the readings by the local point."""
+        """Ideal derivative of the readings by the local point, (n, 3, 3, B)."""
         return self.gathered(truth.sightings.jacobian for truth in self.truths)
 
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:

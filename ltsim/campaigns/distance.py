@@ -84,7 +84,7 @@ class BatchDistance(Engine):
 
     @cached_property
     def step_matrix(self) -> Floats:
-        """(q, q): a step in units of the prior sigmas from half a gradient, within what is estimated."""
+        """A step in units of the prior sigmas from half a gradient, within what is estimated, (q, q)."""
         rows, determined = self._mean_rows, self._determined
         normal = rows.by_unknown.T @ rows.by_unknown
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T

@@ -41,15 +41,15 @@ class Calibrated:
     values: Floats
     """(I, p, B) [SI]."""
     sigma: Floats
-    """(I, p) or (I, p, B) [SI]: predicted standard deviations."""
+    """Predicted standard deviations, (I, p) or (I, p, B) [SI]."""
     points: Floats
-    """(T, 3, B) [m]: adjusted targets less true ones, in any frame; NaN where the method gives none."""
+    """Adjusted targets less true ones, in any frame; NaN where the method gives none, (T, 3, B) [m]."""
     chi2: Floats
     """(B,)."""
     status: Ints
-    """(B,): index into `STATUSES`."""
+    """Index into `STATUSES`, (B,)."""
     extra: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(q, B) [SI]: parameters of further effects; empty for none."""
+    """Parameters of further effects; empty for none, (q, B) [SI]."""
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """(q, 1) or (q, B) [SI]."""
     reflectors: Mapping[str, Floats] = field(default_factory=dict)

@@ -45,7 +45,7 @@ class BatchFit:
     """Adjusted trials; the last index is the trial."""
 
     points: Floats
-    """(T, 3, B) [m]: targets less nominal targets."""
+    """Targets less nominal targets, (T, 3, B) [m]."""
     values: Floats
     """(I, p, B) [SI]."""
     extra: Floats
@@ -55,7 +55,7 @@ class BatchFit:
     chi2: Floats
     """(B,)."""
     remainder: Floats
-    """(B,): distance to the optimum after the last step, in standard deviations."""
+    """Distance to the optimum after the last step, in standard deviations, (B,)."""
 
     @property
     def converged(self) -> Bools:
@@ -70,7 +70,7 @@ class NetworkKnowns:
     network: BatchNetwork
     """Batch network of the same set-up and pointings, with other coordinates."""
     by_point: Floats
-    """(n, 3, 3): derivative of the nominal readings by the local points."""
+    """Derivative of the nominal readings by the local points, (n, 3, 3)."""
     by_value: Floats
     """(n, 3, p): by the parameters."""
 

@@ -24,13 +24,13 @@ class ChainProgram(NamedTuple):
     turns: Ints
     """(M,): 1 for a rotation, 0 for a translation."""
     axis: Ints
-    """(M,): coordinate axis 0, 1, 2."""
+    """Coordinate axis 0, 1, 2, (M,)."""
     sign: Floats
     """(M,)."""
     driven: Ints
-    """(M,): reading that drives the motion (0 range, 1 azimuth, 2 elevation), -1 for none."""
+    """Reading that drives the motion (0 range, 1 azimuth, 2 elevation), -1 for none, (M,)."""
     amount: Floats
-    """(M, n, 2): translation in the first place, or cosine and sine of the rotation, nominal."""
+    """Translation in the first place, or cosine and sine of the rotation, nominal, (M, n, 2)."""
     first: Ints
     """(M + 1,): parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
     fed: Ints
@@ -40,7 +40,7 @@ class ChainProgram(NamedTuple):
     basis: Floats
     """(p, n)."""
     slope: Floats
-    """(p, n, 3): derivative of the basis by the readings."""
+    """Derivative of the basis by the readings, (p, n, 3)."""
 
     @classmethod
     def of(cls, construction: Construction, raw: Floats) -> Self:

@@ -148,7 +148,7 @@ class Trial(ValueEquality):
     units: tuple[str, ...]
     estimate: Floats
     sigma: Floats
-    """(p,): standard deviations that the calibrator declares; NaN for none."""
+    """Standard deviations that the calibrator declares; NaN for none, (p,)."""
     truth: Floats
     standard: Floats
     """(p,): z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no
@@ -162,7 +162,7 @@ class Trial(ValueEquality):
 
     @property
     def z(self) -> Floats:
-        """(p,): errors over declared sigmas."""
+        """Errors over declared sigmas, (p,)."""
         return (self.estimate - self.truth) / self.sigma
 
 
@@ -198,15 +198,15 @@ class ExpectedTruth:
     """Expected truth for an estimator with a prior: P parameters [prior sigma] of instruments and declared errors."""
 
     mean: Floats
-    """(P,): mean of the draw of the truth; the truth itself where it was not drawn."""
+    """Mean of the draw of the truth; the truth itself where it was not drawn, (P,)."""
     drawn: Floats
-    """(P,): standard deviation of the draw."""
+    """Standard deviation of the draw, (P,)."""
     missed: Floats
-    """(P, P): bias of the estimates per unit of the truth, noise aside: the bias is -missed @ truth."""
+    """Bias of the estimates per unit of the truth, noise aside: the bias is -missed @ truth, (P, P)."""
     columns: Ints
-    """(P,): columns of the adjusted network, in the order of these; empty without one."""
+    """Columns of the adjusted network, in the order of these; empty without one, (P,)."""
     units: Floats
-    """(P,) [SI]: prior sigmas."""
+    """Prior sigmas, (P,) [SI]."""
 
     @classmethod
     def of(cls, calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
@@ -233,7 +233,7 @@ class ExpectedTruth:
 
     @property
     def undrawn(self) -> Floats:
-        """(P,): share of the prior's variance that the draw lacks."""
+        """Share of the prior's variance that the draw lacks, (P,)."""
         return 1.0 - self.drawn**2
 
 

@@ -49,9 +49,9 @@ class Block:
     amounts: tuple[Floats, ...]
     """(q, B) [SI]: true parameters of each further effect."""
     deviation: Floats
-    """(n, 3, B) [m, rad, rad]: readings less nominal readings."""
+    """Readings less nominal readings, (n, 3, B) [m, rad, rad]."""
     gauge_error: Floats
-    """(g, B) [m]: stated less true lengths."""
+    """Stated less true lengths, (g, B) [m]."""
     alone: tuple[Block, ...] = ()
     """Single trials, each in the order of its pointings, where each has a separate geometry."""
 
@@ -72,7 +72,7 @@ class CellTruth:
     population: TrialDraws
     """Distributions of the values drawn in a trial; its sightings may be in any frame."""
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
-    """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
+    """Resolution of the readings; 0 for none, (I, 3) [m, rad, rad]."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """(3,): True for those of range, azimuth and elevation that are recorded; the others do not deviate."""
     work: Fieldwork | None = None

@@ -39,7 +39,7 @@ class Targets(ValueEquality):
     points: Floats
     covariance: Floats
     spread: Floats
-    """(k, T, 3) [m]: weighted deviations between explanations; part of the covariance."""
+    """Weighted deviations between explanations; part of the covariance, (k, T, 3) [m]."""
 
 
 @dataclass(frozen=True, repr=False)

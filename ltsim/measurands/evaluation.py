@@ -35,7 +35,7 @@ class Evaluation:
     agrees: Bools
     """(k,): whether the linear interval is that of the distribution (JCGM 101, clause 8)."""
     curved: Floats
-    """(k,): gap between the exact adjustment and its linear form, in standard uncertainties."""
+    """Gap between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
 
     @property
     def outputs(self) -> list[tuple[Task, Output]]:

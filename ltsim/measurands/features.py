@@ -28,9 +28,9 @@ class Feature:
     """A fitted element."""
 
     centre: Floats
-    """(..., 3) [m]: a point of the line, plane or axis (the foot of the points' centroid), or the centre."""
+    """A point of the line, plane or axis (the foot of the points' centroid), or the centre, (..., 3) [m]."""
     normal: Floats
-    """(..., 3): direction of the line or axis, normal of the plane or of the circle's plane; a unit vector. NaN for a
+    """Direction of the line or axis, normal of the plane or of the circle's plane; a unit vector, (..., 3). NaN for a
     sphere.
     """
     radius: Floats

@@ -44,7 +44,7 @@ class Source(ValueEquality):
     kind: Literal["A", "B"]
     """``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest."""
     response: Floats
-    """(3 T, q) [m]: displacement of the points for one standard deviation of each independent variate."""
+    """Displacement of the points for one standard deviation of each independent variate, (3 T, q) [m]."""
     distribution: str = "normal"
     """Distribution of the variates."""
 
@@ -65,7 +65,7 @@ class Inputs(ValueEquality):
     points: Floats
     """(T, 3) [m]."""
     reach: Floats
-    """(m, 3 T) [m]: displacement of the points for a unit of each whitened row of the adjustment."""
+    """Displacement of the points for a unit of each whitened row of the adjustment, (m, 3 T) [m]."""
     sources: tuple[Source, ...]
     air: str = ""
     """Description of the air in the sources; empty where ranges are short."""
@@ -260,7 +260,7 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
 
 
 def _shares(recording: Recording, shared: str) -> Ints:
-    """(n,): pointings with the same number share one draw."""
+    """Pointings with the same number share one draw, (n,)."""
     return {
         "all": np.zeros(len(recording), dtype=np.int64),
         "station": recording.station,

@@ -49,17 +49,17 @@ class Propagated(ValueEquality):
     """Results of all tasks together by the law of propagation."""
 
     values: Floats
-    """(k,): results of all tasks, one after another [SI]."""
+    """Results of all tasks, one after another [SI], (k,)."""
     covariance: Floats
     """(k, k)."""
     shares: dict[str, Floats]
-    """(k,): variance of each result by source; they add up to the diagonal of the covariance."""
+    """Variance of each result by source; they add up to the diagonal of the covariance, (k,)."""
     kinds: dict[str, Literal["A", "B"]]
     """``A`` or ``B`` of each source."""
     by_points: Floats
-    """(k, 3 T): derivative of the results by the points."""
+    """Derivative of the results by the points, (k, 3 T)."""
     by_stretch: Floats
-    """(k,): derivative by the part's expansion."""
+    """Derivative by the part's expansion, (k,)."""
 
     @property
     def sigma(self) -> Floats:
@@ -159,13 +159,13 @@ class Drawn(ValueEquality):
     """(k,) each."""
     symmetric: Floats
     shortest: Floats
-    """(k, 2): coverage intervals with equal tails, and the shortest."""
+    """Coverage intervals with equal tails, and the shortest, (k, 2)."""
     error: Floats
-    """(k,): numerical error of the ends of the symmetric interval, two standard deviations."""
+    """Numerical error of the ends of the symmetric interval, two standard deviations, (k,)."""
     stable: Bools
     """(k,): whether the figures are stable to the digits asked for."""
     tolerance: Floats
-    """(k,): half a unit of the last digit of the standard uncertainty (clause 7.9.2)."""
+    """Half a unit of the last digit of the standard uncertainty (clause 7.9.2), (k,)."""
 
     @property
     def trials(self) -> int:
@@ -238,7 +238,7 @@ def _results(measurands: Sequence[Measurand], points: Floats, factor: Floats) ->
 
 
 def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floats:
-    """(4, k): mean, standard deviation and the ends of the interval of the linear model, without drawing."""
+    """Mean, standard deviation and the ends of the interval of the linear model, without drawing, (4, k)."""
     others = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
     half = np.array(
         [
@@ -281,7 +281,7 @@ def variates(rng: np.random.Generator, distribution: str, shape: tuple[int, ...]
 
 
 def _figures(values: Floats, coverage: float) -> Floats:
-    """(4, k): mean, standard deviation and the ends of the symmetric interval of one batch."""
+    """Mean, standard deviation and the ends of the symmetric interval of one batch, (4, k)."""
     tail = 50.0 * (1.0 - coverage)
     ends = np.percentile(values, [tail, 100.0 - tail], axis=0)
     return np.stack([values.mean(axis=0), values.std(axis=0, ddof=1), *ends])

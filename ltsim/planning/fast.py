@@ -42,15 +42,15 @@ class NormalBlocks:
     yaw: Floats
     """(N,) [rad]."""
     visible: Bools
-    """(N, T): targets that each measures."""
+    """Targets that each measures, (N, T)."""
     held: Bools
     """(N,): whether the targets in sight hold the pose."""
     tt: Floats
-    """(N, T, 3, 3): target with target."""
+    """Target with target, (N, T, 3, 3)."""
     tx: Floats
-    """(N, T, 3, 6 + P): target with pose and parameters."""
+    """Target with pose and parameters, (N, T, 3, 6 + P)."""
     xx: Floats
-    """(N, 6 + P, 6 + P): pose and parameters, summed over targets."""
+    """Pose and parameters, summed over targets, (N, 6 + P, 6 + P)."""
 
     def take(self, which: Ints) -> NormalBlocks:
         """Subset of the set-ups."""
@@ -83,7 +83,7 @@ class Reduced:
     open.
     """
     target_rms: Floats
-    """(B,) [m]: root mean square point error, datum the mean of all targets; NaN there too, and where not asked for."""
+    """Root mean square point error, datum the mean of all targets; NaN there too, and where not asked for, (B,) [m]."""
 
 
 class LayoutScorer:
@@ -308,7 +308,7 @@ class LayoutScorer:
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def asked(self, mesh: Ints) -> Ints:
-        """(1 or B, E + gauge): targets of the survey that `target_variance` tells of."""
+        """Targets of the survey that `target_variance` tells of, (1 or B, E + gauge)."""
         at = np.atleast_2d(mesh)
         return np.concatenate([at, np.broadcast_to(self._gauge, (len(at), len(self._gauge)))], axis=1)
 

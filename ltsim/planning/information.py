@@ -92,7 +92,7 @@ class LayoutInformation:
 
     @property
     def pose_covariance(self) -> Floats:
-        """(S, 6, 6): translation [m] and rotation [rad] of each station, as `target_covariance`."""
+        """Translation [m] and rotation [rad] of each station, as `target_covariance`, (S, 6, 6)."""
         return self._inner.pose_covariance + air_covariance(self._inner, self._inner.problem.unknowns.pose)
 
     @cached_property
@@ -102,7 +102,7 @@ class LayoutInformation:
 
     @cached_property
     def target_sigma(self) -> Floats:
-        """(T,) [m]: root of the trace of each target's covariance, its point error."""
+        """Root of the trace of each target's covariance, its point error, (T,) [m]."""
         return np.sqrt(np.einsum("tii->t", self.target_covariance))
 
     @property
@@ -148,9 +148,9 @@ class Predictor:
     groups: tuple[str, ...]
     """Noise, gauge lengths, instrument parameters by kind, and the effects that were left out."""
     distance: Floats
-    """(2, G, rows) [m^2]: variance of each station's deviation of each distance, before and after."""
+    """Variance of each station's deviation of each distance, before and after, (2, G, rows) [m^2]."""
     coordinate: Floats
-    """(2, G, rows, 3, 3) [m^2]: covariance of the gap between two stations' places of each target."""
+    """Covariance of the gap between two stations' places of each target, (2, G, rows, 3, 3) [m^2]."""
 
     @classmethod
     def of(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> Predictor:
@@ -251,7 +251,7 @@ def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple
 
 
 def _means(information: LayoutInformation) -> Floats:
-    """(S T, n): means over faces and repeats of each station's pointings at each target."""
+    """Means over faces and repeats of each station's pointings at each target, (S T, n)."""
     recording = information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
     mean = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))

@@ -87,7 +87,7 @@ class Objective:
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
     def values(self, reduced: Reduced, parameters: int) -> Floats:
-        """(B,): the weighted geometric mean."""
+        """The weighted geometric mean, (B,)."""
         qualities = self.qualities(reduced, parameters)
         total = sum(self.weights[name] for name in qualities)
         logs = [self.weights[name] / total * np.log(value) for name, value in qualities.items()]

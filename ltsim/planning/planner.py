@@ -159,7 +159,7 @@ def sight_table(site: SearchSpace, survey: Survey) -> Visibility:
 
 
 def _aimed(site: SearchSpace, survey: Survey) -> Bools:
-    """(T,): targets of a survey in fixed nests that are aimed at its stations."""
+    """Targets of a survey in fixed nests that are aimed at its stations, (T,)."""
     aimed = np.full(len(survey.points), bool(site.aimed.any()))
     aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
     return aimed

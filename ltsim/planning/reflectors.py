@@ -34,11 +34,11 @@ class PlaceTable:
 
     reducer: LayoutScorer
     base: Floats
-    """(K, K): targets that stay, known lengths, priors, datum."""
+    """Targets that stay, known lengths, priors, datum, (K, K)."""
     terms: Floats
     """(P, K, K): what a reflector at each place would add."""
     length: Floats
-    """(K,): squared lengths of the columns before targets are eliminated, with reflectors at all places."""
+    """Squared lengths of the columns before targets are eliminated, with reflectors at all places, (K,)."""
     inverse: Floats
     """(E, 3, 3): of all targets but the gauge's, staying ones first, then the places (`LayoutScorer.eliminated`)."""
     weights: Floats
@@ -87,7 +87,7 @@ class PlaceTable:
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _at(self, layouts: int, asked: Ints) -> Ints:
-        """(B, staying + n): rows of `inverse` of the targets that stay and of those at the places `asked`."""
+        """Rows of `inverse` of the targets that stay and of those at the places `asked`, (B, staying + n)."""
         stay = len(self.inverse) - len(self.terms)
         asked = np.broadcast_to(asked, (layouts, np.shape(asked)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + asked], axis=1)
@@ -174,7 +174,7 @@ def choose_reflectors(
 
 
 def _usable(site: SearchSpace, survey: Survey, places: Floats) -> Bools:
-    """(P,): seen from enough stations; a fixed nest there can be aimed at all of them."""
+    """Seen from enough stations; a fixed nest there can be aimed at all of them, (P,)."""
     good: Bools = site.visible(survey.position, places).sum(axis=0) >= min(site.min_sights, len(survey.position))
     if site.aimed.any():
         good &= aimed_normals(survey.position, places)[1] <= site.limits.acceptance
@@ -182,7 +182,7 @@ def _usable(site: SearchSpace, survey: Survey, places: Floats) -> Bools:
 
 
 def _taken(points: Floats, places: Floats, within: float) -> Bools:
-    """(P,): places within a distance [m] of a point."""
+    """Places within a distance [m] of a point, (P,)."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < within).any(axis=1))
 

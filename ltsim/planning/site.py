@@ -56,18 +56,18 @@ def words_of(rules: Sequence[BrokenRule]) -> str:
 
 
 def too_near(position: Floats, spacing: float) -> Bools:
-    """(B, S, S): pairs of stations of layouts (B, S, 3) [m] nearer than the spacing [m] seen from above, once each."""
+    """Pairs of stations of layouts (B, S, 3) [m] nearer than the spacing [m] seen from above, once each, (B, S, S)."""
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
     return np.asarray(np.triu(gap <= spacing - SLACK, 1))
 
 
 def short_of_sights(visible: Bools, least: int) -> Bools:
-    """(B, T): targets that fewer than `least` stations see; `visible` is (B, S, T)."""
+    """Targets that fewer than `least` stations see; `visible` is (B, S, T), (B, T)."""
     return np.asarray(visible.sum(axis=1) < least)
 
 
 def short_of_targets(visible: Bools) -> Bools:
-    """(B, S): stations that see fewer than `FEWEST` targets; `visible` is (B, S, T)."""
+    """Stations that see fewer than `FEWEST` targets; `visible` is (B, S, T), (B, S)."""
     return np.asarray(visible.sum(axis=2) < FEWEST)
 
 
@@ -81,7 +81,7 @@ class SearchSpace(ValueEquality):
     """Allowed areas of tripods."""
     limits: SightLimits
     aimed: Bools
-    """(T,): targets in fixed nests, which are aimed anew for every layout and must serve all its stations."""
+    """Targets in fixed nests, which are aimed anew for every layout and must serve all its stations, (T,)."""
     obstacles: Obstacles | None = None
     keep_outs: tuple[KeepOut, ...] = ()
     """Areas forbidden for tripods, even inside `areas`."""
@@ -94,7 +94,7 @@ class SearchSpace(ValueEquality):
     fixed: tuple[int, ...] = ()
     """Stations that stay where they are."""
     nests: Floats | None = None
-    """(P, 3) [m]: candidate places of reflectors; none: reflectors stay."""
+    """Candidate places of reflectors; none: reflectors stay, (P, 3) [m]."""
     nest_names: tuple[str, ...] = ()
     reflector_spacing: float = 0.3
     """[m]."""
@@ -109,11 +109,11 @@ class SearchSpace(ValueEquality):
         return replace(self, **changes)
 
     def allowed(self, position: Floats) -> Bools:
-        """(N,): a tripod may stand there."""
+        """A tripod may stand there, (N,)."""
         return may_stand(self.areas, self.keep_outs, self.obstacles, position)
 
     def visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """(N, T): visible targets within the position tolerance; nests are aimed later and not tested."""
+        """Visible targets within the position tolerance; nests are aimed later and not tested, (N, T)."""
         goal = self.survey.points if points is None else points
         table = visibility(position, goal, self.limits, obstacles=self.obstacles)
         turn = self.position_tolerance / table.range_
@@ -130,7 +130,7 @@ class SearchSpace(ValueEquality):
         return good
 
     def feasible(self, position: Floats, visible: Bools) -> Bools:
-        """(B,): layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `visible` (B, S, T)."""
+        """Layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `visible` (B, S, T), (B,)."""
         good: Bools = np.asarray(~short_of_sights(visible, self.min_sights).any(axis=1))
         good &= ~short_of_targets(visible).any(axis=1)
         good &= ~too_near(position, self.spacing).any(axis=(1, 2))
@@ -182,13 +182,13 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def connectivity(self, visible: Bools) -> Floats:
-        """(B,): number of stations connected to the first by two shared targets, plus the mean of shared targets."""
+        """Number of stations connected to the first by two shared targets, plus the mean of shared targets, (B,)."""
         shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), FEWEST)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))
 
     def _served(self, position: Floats) -> Bools:
-        """(B, N): fixed nests that can be aimed so that all stations fall within the reflector's acceptance."""
+        """Fixed nests that can be aimed so that all stations fall within the reflector's acceptance, (B, N)."""
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
@@ -237,11 +237,11 @@ class Placement:
     position: Floats
     """(N, 3) [m]: where a station may stand."""
     visible: Bools
-    """(N, T): targets in sight from there."""
+    """Targets in sight from there, (N, T)."""
     spacing: float
     """[m]: least distance between two stations, seen from above."""
     standing: Floats
-    """(F, 3) [m]: stations that stay."""
+    """Stations that stay, (F, 3) [m]."""
     counted: Ints
     """(T,): how many of those see each target."""
 

@@ -29,9 +29,9 @@ class Survey:
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     position: Floats
-    """(S, 3) [m]: centre of each instrument."""
+    """Centre of each instrument, (S, 3) [m]."""
     yaw: Floats
-    """(S,) [rad]: turn of each instrument about the vertical."""
+    """Turn of each instrument about the vertical, (S,) [rad]."""
     points: Floats
     """(T, 3) [m]."""
     visible: Bools
@@ -44,7 +44,7 @@ class Survey:
     seconds_per_move: float = 1200.0
     """[s] Time to carry the instrument and set it up, per station."""
     rank: Ints | None = None
-    """(S, T): place of each target in each station's visit; default as listed."""
+    """Place of each target in each station's visit; default as listed, (S, T)."""
     face_by_face: bool = True
     """All targets on one face, then on the other; else both faces of each target at once."""
     observables: tuple[str, ...] = OBSERVABLES
@@ -108,7 +108,7 @@ class Survey:
 
     @property
     def rotation(self) -> Floats:
-        """(S, 3, 3): instrument frame to network frame."""
+        """Instrument frame to network frame, (S, 3, 3)."""
         return np.stack([about_z(float(yaw)) for yaw in self.yaw])
 
     def state(self, construction: Construction) -> State:
@@ -129,7 +129,7 @@ class Survey:
         return empty.with_readings(readings)
 
     def turn(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """(n,): place of pointings in the first round of their station's visit, from 0."""
+        """Place of pointings in the first round of their station's visit, from 0, (n,)."""
         rank = target if self.rank is None else self.rank[station, target]
         number = np.searchsorted(np.sort(self.faces), face)
         if self.face_by_face:

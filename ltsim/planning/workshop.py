@@ -68,7 +68,7 @@ def survey_of(scenario: Scenario) -> Survey:
 
 
 def _rank(recording: Recording, layout: Layout) -> Ints:
-    """(S, T): place of each target in each station's first round; targets not seen come last."""
+    """Place of each target in each station's first round; targets not seen come last, (S, T)."""
     count = len(layout.targets)
     first = np.full((len(layout.stations), count), np.inf)
     target = np.array([layout.targets.index(name) for name in recording.targets])[recording.target]
@@ -185,7 +185,7 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
 
 
 def staying(plan: PlanFile, scenario: Scenario) -> Bools:
-    """(T,): targets that the search leaves where they are: all without candidate places; else what must stay."""
+    """Targets that the search leaves where they are: all without candidate places; else what must stay, (T,)."""
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
@@ -193,7 +193,7 @@ def staying(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
-    """(T,): targets of a survey whose places are no matter of choice: all that is not free or called movable."""
+    """Targets of a survey whose places are no matter of choice: all that is not free or called movable, (T,)."""
     free = plan.reflectors.movable
     demanded = [point.name for point in plan.listed if point.name not in free and point.group not in free]
     return _is_fixed(plan, scenario, survey.target_names, demanded)

@@ -245,7 +245,7 @@ class Coordinates:
     points: Floats
     """(T, 3) [m]: 0 along the other axes."""
     covariance: Floats
-    """(T d, T d) [m^2]: point by point, axis by axis."""
+    """Point by point, axis by axis, (T d, T d) [m^2]."""
     notes: tuple[str, ...] = ()
 
     @property

@@ -69,11 +69,11 @@ class Recording(Result):
     repeat: Ints
     """(n,)."""
     time: Floats
-    """(n,) [s]: since the start; the row number where the recording has no clock."""
+    """Since the start; the row number where the recording has no clock, (n,) [s]."""
     readings: Floats
-    """(n, 3) [m, rad, rad]: raw range, azimuth, elevation; NaN where not measured."""
+    """Raw range, azimuth, elevation; NaN where not measured, (n, 3) [m, rad, rad]."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """(n,): every further numeric column, the instrument's air readings among them."""
+    """Every further numeric column, the instrument's air readings among them, (n,)."""
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Every further column of text."""
     has_clock: bool = True
@@ -146,7 +146,7 @@ class Recording(Result):
 
     @cached_property
     def instrument(self) -> Ints:
-        """(n,) int: index into `instruments` of each row."""
+        """Index into `instruments` of each row, (n,) int."""
         index = {name: i for i, name in enumerate(self.instruments)}
         of_station = [index[self._instrument_name(s)] for s in self.stations]
         return np.array(of_station, dtype=np.int64)[self.station]
@@ -216,7 +216,7 @@ class Recording(Result):
 
     @property
     def is_horizontal(self) -> Bools:
-        """(n,) bool: distances reduced to the horizontal plane of the instrument."""
+        """Distances reduced to the horizontal plane of the instrument, (n,) bool."""
         kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 

@@ -28,15 +28,15 @@ class ReferenceLengths:
 
     first: Ints
     second: Ints
-    """(g,): index of the target at either end."""
+    """Index of the target at either end, (g,)."""
     factor: Floats
-    """(g,): growth between the calibration and the use."""
+    """Growth between the calibration and the use, (g,)."""
     length: Floats
     """(g,) [m]: at the use."""
     certificate: Floats
-    """(g,) [m]: standard deviation of the error of each length that it shares with no other."""
+    """Standard deviation of the error of each length that it shares with no other, (g,) [m]."""
     shared: dict[str, Floats]
-    """(g,) [m]: change of the lengths by one standard deviation of each coefficient and each thermometer."""
+    """Change of the lengths by one standard deviation of each coefficient and each thermometer, (g,) [m]."""
 
     @classmethod
     def of(cls, recording: Recording, file: object = "setup.toml") -> Self:
@@ -71,7 +71,7 @@ class ReferenceLengths:
 
     @property
     def sigma(self) -> Floats:
-        """(g,) [m]: standard deviation of each length by itself."""
+        """Standard deviation of each length by itself, (g,) [m]."""
         return np.sqrt(self.certificate**2 + sum(change**2 for change in self.shared.values()))
 
 

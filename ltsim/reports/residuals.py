@@ -32,16 +32,16 @@ class Residuals:
     """Residuals, observed minus adjusted, one row per observation."""
 
     row: Ints
-    """(n,): data row of the recording, from 1."""
+    """Data row of the recording, from 1, (n,)."""
     station: Names
     target: Names
     """(n,) each."""
     observable: Ints
-    """(n,): index into `OBSERVABLES`."""
+    """Index into `OBSERVABLES`, (n,)."""
     residual: Floats
     """(n,): in um for a distance, in arcsec for an angle."""
     w: Floats
-    """(n,): normalised residual, standard normal where the model holds."""
+    """Normalised residual, standard normal where the model holds, (n,)."""
     redundancy: Floats
     """(n,)."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)

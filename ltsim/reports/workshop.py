@@ -49,13 +49,13 @@ class PlacedWorkshop(ValueEquality):
     position: Floats
     """(S, 3)."""
     rotation: Floats
-    """(S, 3, 3): instrument frame to this frame."""
+    """Instrument frame to this frame, (S, 3, 3)."""
     targets: tuple[str, ...]
     points: Floats
     nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """(T, 3): normals of the nests; NaN for a reflector that is turned by hand."""
+    """Normals of the nests; NaN for a reflector that is turned by hand, (T, 3)."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """(k, 2): outline."""
+    """Outline, (k, 2)."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
     """(W, 4, 3)."""
@@ -66,17 +66,17 @@ class PlacedWorkshop(ValueEquality):
     covariance: Floats | None = None
     """(T, 3, 3)."""
     correction: Floats | None = None
-    """(T, 3): change of the targets by a calibration or a finding."""
+    """Change of the targets by a calibration or a finding, (T, 3)."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """(k, 3, 3): corners of the triangles of obstacles."""
+    """Corners of the triangles of obstacles, (k, 3, 3)."""
     hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    """(k, 2): station and target of the sights that obstacles block."""
+    """Station and target of the sights that obstacles block, (k, 2)."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
     @property
     def yaw(self) -> Floats:
-        """(S,) [rad]: direction of azimuth zero of each station."""
+        """Direction of azimuth zero of each station, (S,) [rad]."""
         return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
 
     @property
@@ -86,7 +86,7 @@ class PlacedWorkshop(ValueEquality):
         return (limit,) if abs(limit - SECOND_OPENING) < 1e-9 else (limit, SECOND_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
-        """(S,) [m]: radius on the floor of the cone with a full angle `opening`."""
+        """Radius on the floor of the cone with a full angle `opening`, (S,) [m]."""
         return shadow_radius(self.position, self.floor_height, opening)
 
     @property

@@ -156,19 +156,19 @@ class Area:
     """Area of the floor."""
 
     outline: Floats
-    """(k, 2) [m]: corners, in order around it."""
+    """Corners, in order around it, (k, 2) [m]."""
     heights: tuple[float, float]
     """[m]: lowest and highest centre of the instrument here."""
     holes: tuple[Floats, ...] = ()
     """(k, 2) [m]: what is cut out of it."""
 
     def holds(self, position: Floats) -> Bools:
-        """(N,): positions (N, 3) [m] of an instrument that may stand here."""
+        """Positions (N, 3) [m] of an instrument that may stand here, (N,)."""
         low, high = self.heights
         return np.asarray(self.covers(position[:, :2]) & (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE))
 
     def covers(self, places: Floats) -> Bools:
-        """(N,): places (N, 2) [m] in the area, its holes left out."""
+        """Places (N, 2) [m] in the area, its holes left out, (N,)."""
         good = inside(self.outline, places)
         for hole in self.holes:
             good &= ~inside(hole, places)
@@ -183,7 +183,7 @@ class KeepOut:
     clear: float = 0.0
 
     def holds(self, places: Floats) -> Bools:
-        """(N,): places (N, 2) that stay free."""
+        """Places (N, 2) that stay free, (N,)."""
         near = distance(self.outline, places) < self.clear + EDGE
         return near | inside(self.outline, places) if len(self.outline) > 2 else near
 
@@ -195,7 +195,7 @@ def distance(outline: Floats, places: Floats) -> Floats:
 
 
 def inside(outline: Floats, places: Floats) -> Bools:
-    """(N,): places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
+    """Places (N, 2) inside an outline (k, 2) or within a nanometre of its edge, (N,)."""
     return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE)
 
 
@@ -226,7 +226,7 @@ def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
 def may_stand(
     areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
 ) -> Bools:
-    """(N,): a tripod may stand under an instrument at positions (N, 3) [m]."""
+    """A tripod may stand under an instrument at positions (N, 3) [m], (N,)."""
     good = np.zeros(len(position), dtype=bool)
     for area in areas:
         good |= area.holds(position)

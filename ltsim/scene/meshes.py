@@ -48,7 +48,7 @@ class Obstacles:
     """Triangles in the network frame."""
 
     triangles: Floats
-    """(m, 3, 3) [m]: corners."""
+    """Corners, (m, 3, 3) [m]."""
     floor: float = 0.0
     """[m]: height on which tripods stand."""
 
@@ -67,7 +67,7 @@ class Obstacles:
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def blocked(self, origins: Floats, ends: Floats) -> Bools:
-        """(n,): a triangle lies between origins and ends (n, 3) [m]; touching an edge counts."""
+        """A triangle lies between origins and ends (n, 3) [m]; touching an edge counts, (n,)."""
         hit = self._met(origins, ends)
         if self._rays is None or not hit.size:
             return hit
@@ -80,7 +80,7 @@ class Obstacles:
         return hit
 
     def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
-        """(n,): something hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
+        """Something hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m], (n,).
 
         Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
         """
@@ -94,7 +94,7 @@ class Obstacles:
         return hit
 
     def _met(self, origins: Floats, ends: Floats) -> Bools:
-        """(n,): a triangle lies between, to the precision of the rays in use."""
+        """A triangle lies between, to the precision of the rays in use, (n,)."""
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
         length = np.linalg.norm(ends - origins, axis=1)
@@ -108,7 +108,7 @@ class Obstacles:
         return hit
 
     def holds(self, points: Floats) -> Bools:
-        """(n,): points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces."""
+        """Points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces, (n,)."""
         (west, south), (east, north) = self._above
         flat = _from_sky(points)
         count = np.zeros(len(points), dtype=np.int64)
@@ -167,7 +167,7 @@ class Obstacles:
         return self._put[key]
 
     def encloses(self, points: Floats) -> Bools:
-        """(n,): head inside a closed body, or the tripod under it through something (points (n, 3), [m])."""
+        """Head inside a closed body, or the tripod under it through something (points (n, 3), [m]), (n,)."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
         feet = points.copy()
@@ -191,7 +191,7 @@ def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats
 
 
 def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
-    """(...): a triangle (..., 3, 3) is met by its ray before `length`."""
+    """A triangle (..., 3, 3) is met by its ray before `length`, (...)."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
@@ -299,7 +299,7 @@ def _drawn(body: Floats, spacing: float) -> tuple[Floats, Floats]:
 
 
 def _flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
-    """(n,): around the foot of a nest the surface lies where the nest needs it."""
+    """Around the foot of a nest the surface lies where the nest needs it, (n,)."""
     side, other = perpendicular(normal)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):

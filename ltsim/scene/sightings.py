@@ -33,15 +33,15 @@ class Sightings:
     time: Floats
     """(n,) [s]."""
     position: Floats
-    """(S, 3) [m]: origin of each instrument."""
+    """Origin of each instrument, (S, 3) [m]."""
     rotation: Floats
-    """(S, 3, 3): instrument frame to network frame."""
+    """Instrument frame to network frame, (S, 3, 3)."""
     points: Floats
     """(T, 3) [m]."""
     nest_normal: Floats
-    """(T, 3): unit vector, NaN where unknown."""
+    """Unit vector, NaN where unknown, (T, 3)."""
     reaimed: Bools
-    """(T,): the reflector is turned toward the station before each pointing."""
+    """The reflector is turned toward the station before each pointing, (T,)."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
@@ -83,22 +83,22 @@ class Sightings:
 
     @cached_property
     def local(self) -> Floats:
-        """(n, 3) [m]: the target in the instrument's frame."""
+        """The target in the instrument's frame, (n, 3) [m]."""
         return np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
 
     @cached_property
     def polar(self) -> Floats:
-        """(n, 3): ideal range, azimuth, elevation on the front face."""
+        """Ideal range, azimuth, elevation on the front face, (n, 3)."""
         return to_polar(self.local)
 
     @cached_property
     def raw(self) -> Floats:
-        """(n, 3): ideal raw readings on the face that was used."""
+        """Ideal raw readings on the face that was used, (n, 3)."""
         return to_face(self.polar, self.face)
 
     @property
     def read(self) -> Floats:
-        """(n, 3): raw readings of the instrument as far as its errors are known, ideal ones otherwise."""
+        """Raw readings of the instrument as far as its errors are known, ideal ones otherwise, (n, 3)."""
         return self.raw if self.encoder is None else self.encoder
 
     @property
@@ -123,12 +123,12 @@ class Sightings:
 
     @cached_property
     def jacobian(self) -> Floats:
-        """(n, 3, 3): derivative of the raw reading by the local point."""
+        """Derivative of the raw reading by the local point, (n, 3, 3)."""
         return polar_jacobian(self.polar, self.face)
 
     @cached_property
     def by_target(self) -> Floats:
-        """(n, 3, 3): derivative of the raw reading by the target's network coordinates."""
+        """Derivative of the raw reading by the target's network coordinates, (n, 3, 3)."""
         return self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
 
     @cached_property
@@ -151,24 +151,24 @@ class Sightings:
 
     @cached_property
     def station_time(self) -> Floats:
-        """(n,) [s]: time since the first pointing of the same station."""
+        """Time since the first pointing of the same station, (n,) [s]."""
         first = np.full(len(self.station_names), np.inf)
         np.minimum.at(first, self.station, self.time)
         return self.time - first[self.station]
 
     @cached_property
     def order(self) -> Ints:
-        """(n,) int: row indices in the order of the work (by time, ties by row)."""
+        """Row indices in the order of the work (by time, ties by row), (n,) int."""
         return np.argsort(self.time, kind="stable")
 
     @cached_property
     def by_set_up(self) -> Ints:
-        """(n,) int: row indices, one station after the other, each in the order of the work."""
+        """Row indices, one station after the other, each in the order of the work, (n,) int."""
         return self.order[np.argsort(self.station[self.order], kind="stable")]
 
     @cached_property
     def previous(self) -> Ints:
-        """(n,) int: row of the same station's pointing before this one, -1 for its first."""
+        """Row of the same station's pointing before this one, -1 for its first, (n,) int."""
         rows = self.by_set_up
         before = np.full(len(self), -1)
         same = np.diff(self.station[rows]) == 0
@@ -176,7 +176,7 @@ class Sightings:
         return before
 
     def _summed(self, steps: Floats | Bools) -> Floats:
-        """(n,): sum of the steps (n,) since the first pointing of the set-up, whose own does not count."""
+        """Sum of the steps (n,) since the first pointing of the set-up, whose own does not count, (n,)."""
         rows = self.by_set_up
         first = np.maximum.accumulate(np.where(self.previous[rows] < 0, np.arange(len(rows)), 0))
         sums = np.cumsum(steps[rows], dtype=np.float64)
@@ -186,7 +186,7 @@ class Sightings:
 
     @cached_property
     def move(self) -> Floats:
-        """(n, 3) [m, rad]: change of the raw readings since the same station's pointing before, 0 for its first.
+        """Change of the raw readings since the same station's pointing before, 0 for its first, (n, 3) [m, rad].
 
         The azimuth takes the short way round.
         """
@@ -201,7 +201,7 @@ class Sightings:
 
     @cached_property
     def approach(self) -> Floats:
-        """(n, 2): sign of the last move of the raw azimuth and elevation, 0 for a station's first pointing.
+        """Sign of the last move of the raw azimuth and elevation, 0 for a station's first pointing, (n, 2).
 
         An axis that stands still was last moved earlier; the sequence restarts at every station.
         """
@@ -276,7 +276,7 @@ class Sightings:
 
     @property
     def incidence(self) -> Floats:
-        """(n,) [rad]: angle between the beam and the nest's normal; NaN where the nest is unknown."""
+        """Angle between the beam and the nest's normal; NaN where the nest is unknown, (n,) [rad]."""
         return self._nest[0]
 
     @property

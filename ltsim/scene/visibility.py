@@ -72,7 +72,7 @@ class Visibility:
     """The table of a layout."""
 
     reason: NDArray[np.int8]
-    """(S, T): values of `Reason`."""
+    """Values of `Reason`, (S, T)."""
     range_: Floats
     """(S, T) [m]."""
     elevation: Floats
@@ -187,7 +187,7 @@ def in_order(tables: Sequence[Visibility], order: Ints) -> Visibility:
 
 
 def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:
-    """(S, T) [rad]: angle between the beam back to the station and the open face's normal."""
+    """Angle between the beam back to the station and the open face's normal, (S, T) [rad]."""
     if nest_normal is None or reaimed is None:
         return np.zeros(beam.shape[:2])
     length = np.linalg.norm(nest_normal, axis=1, keepdims=True)

@@ -42,7 +42,7 @@ class EffectLaw:
 
     @property
     def upward(self) -> Bools:
-        """(q,): flags of added variances and other values that are never negative."""
+        """Flags of added variances and other values that are never negative, (q,)."""
         kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
@@ -102,9 +102,9 @@ class Draw:
     amounts: tuple[Floats, ...]
     """(q, B) [SI]: true parameters of each effect."""
     noise: Floats
-    """(n, 3, B) [m, rad, rad]: errors of the readings."""
+    """Errors of the readings, (n, 3, B) [m, rad, rad]."""
     certified: Floats
-    """(g, B) [m]: known lengths as their certificates state them, at the temperature of the calibration."""
+    """Known lengths as their certificates state them, at the temperature of the calibration, (g, B) [m]."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ class TrialDraws:
     """Names of the trackers; '' for one without."""
     mean: Floats
     sigma: Floats
-    """(I, p) [SI]: the instruments' errors are drawn from N(mean, sigma^2)."""
+    """The instruments' errors are drawn from N(mean, sigma^2), (I, p) [SI]."""
     noise: Floats
-    """(n, 3) [m, rad, rad]: standard deviations of the readings, without what effects on the noise add."""
+    """Standard deviations of the readings, without what effects on the noise add, (n, 3) [m, rad, rad]."""
     lengths: ReferenceLengths
     """True lengths, with the sigmas of their certificates."""
     names: tuple[str, ...]

@@ -135,7 +135,7 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
 
 
 def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int) -> Ints:
-    """(k, 3): target, face and repeat of one station's visit in the order of the work."""
+    """Target, face and repeat of one station's visit in the order of the work, (k, 3)."""
     work = scenario.work
     faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):

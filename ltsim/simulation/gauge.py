@@ -34,7 +34,7 @@ class GaugeFrame:
     """(k, 3) [m]: in the frame's own axes, origin in the middle."""
     first: Ints
     second: Ints
-    """(g,): pairs whose lengths are known."""
+    """Pairs whose lengths are known, (g,)."""
 
     @property
     def length(self) -> Floats:

@@ -55,10 +55,10 @@ class Truth(Result):
     position: Floats
     """(S, 3) [m]."""
     rotation: Floats
-    """(S, 3, 3): instrument frame to workshop."""
+    """Instrument frame to workshop, (S, 3, 3)."""
     targets: tuple[str, ...]
     points: Floats
-    """(T, 3) [m]: positions without the displacements of effects."""
+    """Positions without the displacements of effects, (T, 3) [m]."""
     construction: str
     instrument: Mapping[str, float]
     """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
@@ -71,7 +71,7 @@ class Truth(Result):
     trackers: tuple[TrackerTruth, ...] = ()
     """Named instruments; empty for an instrument without a name."""
     nominal: Floats | None = None
-    """(T, 3) [m]: the targets as a measuring machine gave them."""
+    """The targets as a measuring machine gave them, (T, 3) [m]."""
     trial: int = 0
     """Number of the trial among those of its seed."""
 

@@ -26,11 +26,11 @@ class Layout:
     position: Floats
     """(S, 3) [m]."""
     rotation: Floats
-    """(S, 3, 3): instrument frame to workshop."""
+    """Instrument frame to workshop, (S, 3, 3)."""
     points: Floats
     """(T, 3) [m]."""
     nest_normal: Floats
-    """(T, 3): unit vectors, NaN where unknown."""
+    """Unit vectors, NaN where unknown, (T, 3)."""
     reaimed: Bools
     """(T,)."""
 

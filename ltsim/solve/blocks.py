@@ -29,9 +29,9 @@ class BlockSystem:
     """A whitened linear system: minimise |design @ step - residual|^2."""
 
     design: Design
-    """(m, K + 3 E): reduced columns first."""
+    """Reduced columns first, (m, K + 3 E)."""
     residual: Floats
-    """(m,): observed minus predicted, over sigma."""
+    """Observed minus predicted, over sigma, (m,)."""
     n_reduced: int
     """K, the number of unknowns that are not eliminated: the size of the Schur complement."""
 

@@ -72,7 +72,7 @@ class FactorProjection:
     design: sp.csr_array
     factor: BlockFactor
     added: Floats
-    """(m, e): further columns."""
+    """Further columns, (m, e)."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
 

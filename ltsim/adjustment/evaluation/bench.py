@@ -144,11 +144,11 @@ class BenchResult:
     run_out: float
     """[m]: largest less smallest displacement that the probe saw."""
     uncorrected: Floats
-    """(a,) [m]: lengths less that nearest 0 deg: the error with the eccentricity still in it."""
+    """Lengths less that nearest 0 deg: the error with the eccentricity still in it, (a,) [m]."""
     table: Floats
-    """(a,) [m]: the reflector's own error, less that nearest 0 deg."""
+    """The reflector's own error, less that nearest 0 deg, (a,) [m]."""
     sigma: Floats
-    """(a,) [m]: standard deviation of `table`."""
+    """Standard deviation of `table`, (a,) [m]."""
 
 
 class Vertex(NamedTuple):
@@ -164,7 +164,7 @@ class Vertex(NamedTuple):
 
 
 def along_beam(angles: Floats) -> Floats:
-    """(a, 2): change of the length per unit of a point off the table's axis, when the table is turned."""
+    """Change of the length per unit of a point off the table's axis, when the table is turned, (a, 2)."""
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 

@@ -21,9 +21,9 @@ class TwoFace:
     """Pairs of pointings of one station to one target on both faces."""
 
     rows: Ints
-    """(m, 2): rows of the recording: face 1, face 2."""
+    """Rows of the recording: face 1, face 2, (m, 2)."""
     place: Floats
-    """(m, 3) [m, rad, rad]: mean front-face range, azimuth, elevation."""
+    """Mean front-face range, azimuth, elevation, (m, 3) [m, rad, rad]."""
     half: Floats
     """(m, 3) [m, rad, rad]: half of face 1 minus face 2: range, azimuth across the beam (times the cosine of the
     elevation), elevation.

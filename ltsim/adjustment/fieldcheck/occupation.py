@@ -70,13 +70,13 @@ class StationOccupation:
     sightings: Sightings
     """Instrument frame."""
     use: Bools
-    """(n,): pointings in use."""
+    """Pointings in use, (n,)."""
     whitened: Floats
     """(n, 3): what is left of the readings over their sigmas, 0 where not in use."""
     by_target: Floats
-    """(n, 3, 3): orthonormal columns of each pointing's own target."""
+    """Orthonormal columns of each pointing's own target, (n, 3, 3)."""
     by_instrument: Floats
-    """(n, 3, k): orthonormal columns of the instrument's errors, across all targets."""
+    """Orthonormal columns of the instrument's errors, across all targets, (n, 3, k)."""
     sigma: Floats
     """(n, 3)."""
     dof: int
@@ -114,7 +114,7 @@ class StationOccupation:
 
     @property
     def weight(self) -> Floats:
-        """(n, 3): one over sigma of the readings in use, 0 elsewhere."""
+        """One over sigma of the readings in use, 0 elsewhere, (n, 3)."""
         return np.where(self.recording.measured & self.use[:, None], 1.0 / self.sigma, 0.0)
 
     def projected(self, columns: Floats) -> Floats:
@@ -234,11 +234,11 @@ class Faces:
     still: TwoFace
     """Two-face pairs without the contribution of a moving station or a drifting instrument."""
     noise: Floats
-    """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
+    """Standard deviation of each half difference by the stated noise, (m, 3) [m, rad, rad]."""
     over: Bools
     """(m, 3): what is `still` beyond the limit."""
     limit: Floats
-    """(m, 3): largest half difference that passes."""
+    """Largest half difference that passes, (m, 3)."""
 
     @classmethod
     def of(

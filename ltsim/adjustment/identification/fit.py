@@ -274,7 +274,7 @@ class Fit:
 
     @cached_property
     def outliers(self) -> Bools:
-        """(n, 3): usable readings that are left out."""
+        """Usable readings that are left out, (n, 3)."""
         return self.whole.use & ~self.problem.use
 
     @cached_property
@@ -312,7 +312,7 @@ class Fit:
 
     @property
     def is_gross(self) -> Bools:
-        """(n, 3): readings that miss by more than any error of a tracker."""
+        """Readings that miss by more than any error of a tracker, (n, 3)."""
         return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
 
     @cached_property

@@ -83,10 +83,10 @@ class EffectDetectability:
     """Parameters of the effect at each place: an effect with several laws has several sets."""
     places: tuple[str, ...]
     sizes: tuple[Floats, ...]
-    """(q,) [SI]: minimal detectable sizes at each place; infinite where nothing is left."""
+    """Minimal detectable sizes at each place; infinite where nothing is left, (q,) [SI]."""
     visible: tuple[float, ...]
     columns: tuple[Floats, ...]
-    """(m, r): orthonormal, spanning what is left; empty for noise, and where a diagnosis keeps none."""
+    """Orthonormal, spanning what is left; empty for noise, and where a diagnosis keeps none, (m, r)."""
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable sizes, one per parameter."""
@@ -230,7 +230,7 @@ class Detectability:
     """Effects that leave no trace anywhere in this layout, or need what the layout does not state."""
     names: tuple[str, ...]
     similarity: Floats
-    """(e, e): row effect explained by column effect, 0 to 1, for those with a signature (`names`)."""
+    """Row effect explained by column effect, 0 to 1, for those with a signature (`names`), (e, e)."""
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable sizes, one per parameter of every effect."""

@@ -43,7 +43,7 @@ class AirGradient(WarmAir):
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:
-        """(n,) [m]: height at which the used temperature is right."""
+        """Height at which the used temperature is right, (n,) [m]."""
         if self.sensor == "head":
             return sightings.position[sightings.station, 2]
         return np.full(len(sightings), float(sightings.points[:, 2].mean()))

@@ -121,7 +121,7 @@ class Drift(Effect):
         return [*linear, *alone, *warming]
 
     def progress(self, sightings: Sightings) -> Floats:
-        """(n,): the law at each pointing, [s] or dimensionless."""
+        """The law at each pointing, [s] or dimensionless, (n,)."""
         if self.law == "visit":
             return sightings.station_time
         since = sightings.time - start_time(sightings)

@@ -11,7 +11,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def reflector_axes(sightings: Sightings) -> Floats:
-    """(n, 3, 3): axial, side and up of each pointing's reflector as columns, in the network frame.
+    """Axial, side and up of each pointing's reflector as columns, in the network frame, (n, 3, 3).
 
     Re-aimed, and where the nest is unknown, the axis looks at the station; otherwise along the nest's normal.
     """

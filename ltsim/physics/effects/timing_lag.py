@@ -6,7 +6,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def approach_rate(sightings: Sightings) -> Floats:
-    """(n, 3): mean rate of the raw readings [m/s, rad/s] since the last pointing of the same station."""
+    """Mean rate of the raw readings [m/s, rad/s] since the last pointing of the same station, (n, 3)."""
     rate = np.zeros((len(sightings), 3))
     lapse = sightings.time - sightings.time[sightings.previous]
     going = (sightings.previous >= 0) & (lapse > 0)

@@ -84,7 +84,7 @@ class Construction:
         return tuple(chain), tuple(slots)
 
     def bases(self, raw: Floats) -> Floats:
-        """(n, p): each parameter's basis at raw readings (n, 3)."""
+        """Each parameter's basis at raw readings (n, 3), (n, p)."""
         bases = np.ones((len(self.terms), len(raw)))
         for k, term in self._varying:
             bases[k] = term.basis(raw)

@@ -35,9 +35,9 @@ class IncidenceErrors(Signature):
     acts: Floats
     """(n,): 1 for pointings to the reflector, else 0."""
     mean: Floats
-    """(p,) [SI]: expected parameters of `smr-incidence`."""
+    """Expected parameters of `smr-incidence`, (p,) [SI]."""
     root: Floats
-    """(p, k) [SI]: change of these by one standard deviation of each error."""
+    """Change of these by one standard deviation of each error, (p, k) [SI]."""
 
     @property
     def name(self) -> str:

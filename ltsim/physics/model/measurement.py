@@ -30,13 +30,13 @@ class State:
     position: Floats
     """(S, 3)."""
     rotation: Floats
-    """(S, 3, 3): instrument frame to network frame."""
+    """Instrument frame to network frame, (S, 3, 3)."""
     points: Floats
     """(T, 3)."""
     instrument: Floats
-    """(I, p): construction parameters of each instrument."""
+    """Construction parameters of each instrument, (I, p)."""
     extra: Floats = field(default_factory=lambda: np.zeros(0))
-    """(q,): parameters of the further effects."""
+    """Parameters of the further effects, (q,)."""
 
     def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> Self:
         """The state after increments; `pose` (S, 6) is translation, then rotation vector in the network frame."""

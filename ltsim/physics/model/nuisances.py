@@ -33,7 +33,7 @@ class HeadHeights(Signature):
     lift: Floats
     """(n, q): 1 for pointings to an occupation, -1 for those from it."""
     up: Floats
-    """(n, 3): direction of plumb."""
+    """Direction of plumb, (n, 3)."""
 
     @property
     def name(self) -> str:
@@ -78,9 +78,9 @@ class SharedErrors(Signature):
     """
 
     reach: Floats
-    """(n, 3, q) [m, rad]: change of each reading by one standard deviation."""
+    """Change of each reading by one standard deviation, (n, 3, q) [m, rad]."""
     flat: Bools
-    """(n,): distances reduced to the horizontal."""
+    """Distances reduced to the horizontal, (n,)."""
 
     @property
     def name(self) -> str:

@@ -75,9 +75,9 @@ class DeclaredPoint:
     """A declared point."""
 
     place: Floats
-    """(3,) [m]: coordinates as declared, known or approximate."""
+    """Coordinates as declared, known or approximate, (3,) [m]."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) [1 / m^2]: inverse covariance of its coordinates; 0 along free ones."""
+    """Inverse covariance of its coordinates; 0 along free ones, (3, 3) [1 / m^2]."""
     weighted: Floats = field(default_factory=lambda: np.zeros(3))
     """(3,) [1 / m]: `information` times the coordinates that it belongs to."""
 
