@@ -314,7 +314,7 @@ def plan_of(
 
 
 def _lengths_along(lines: Lines, start: Ints, end: Ints) -> tuple[Ints, Floats]:
-    """Directions (k,) whose line has a length read from one of its ends, and that length (k,)."""
+    """Indices (k,) of directions whose line was also measured in length, from either end; these lengths (k,)."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start.tolist(), lines.end.tolist(), lines.length.tolist(), strict=True

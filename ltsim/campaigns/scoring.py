@@ -232,7 +232,7 @@ class ExpectedTruth:
         return not np.any(self.mean) and bool(np.all(self.drawn == 1.0))
 
     @property
-    def undrawn(self) -> Floats:
+    def missing_variance(self) -> Floats:
         """Share of the prior's variance that the draw lacks, (P,)."""
         return 1.0 - self.drawn**2
 
@@ -257,7 +257,7 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
     prior = calibration.prior_sigma.ravel()
     error, sigma_scaled = (calibration.values.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.missed[:count]
-    variance = sigma_scaled**2 - missed**2 @ expected.undrawn
+    variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
     noisy = variance > NOISELESS * sigma_scaled**2
     standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
     network = NetworkScore(
@@ -301,7 +301,7 @@ def _chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, flo
         return (dof, sigma) if expected.is_prior and sigma is not None else (np.nan, np.nan)
     resolved, mean = np.eye(len(expected.mean)) - expected.missed, expected.mean
     lean = float(mean @ resolved @ mean)
-    return dof + lean - float(np.diag(resolved) @ expected.undrawn), float(np.sqrt(2 * dof + 4 * lean))
+    return dof + lean - float(np.diag(resolved) @ expected.missing_variance), float(np.sqrt(2 * dof + 4 * lean))
 
 
 def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
@@ -323,7 +323,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
         pick = np.zeros((len(size), len(expected.mean)))
         pick[expected.columns, np.arange(len(expected.mean))] = 1.0 / expected.units
         missed = adjustment.factor.covariance_columns(pick)
-        bias, less = -missed @ expected.mean, missed**2 @ expected.undrawn
+        bias, less = -missed @ expected.mean, missed**2 @ expected.missing_variance
     points = (truth.points - origin) @ turn + held.position[0]
     variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target]
     targets = float(np.mean((calibration.points - points - bias[unknowns.target]) ** 2 / variance))

@@ -57,7 +57,7 @@ def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Rankin
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
-    """Largest safe share of a change (T, 3) [m] of the targets; deviations between explanations are (k, T, 3)."""
+    """Largest share of a change (T, 3) [m] that hardly makes targets worse; explanations deviate by (k, T, 3) [m]."""
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
     shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])

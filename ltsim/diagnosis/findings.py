@@ -75,7 +75,7 @@ class Explained:
         return searcher.rank(others).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
-        """Posterior probability of a member's name; of an unknown effect, that it acts on the same observables."""
+        """Posterior probability that the named effect is the cause; if unknown, that it acts on these observables."""
         hypothesis, ranking = self.model.members[member], self.rankings[member]
         if hypothesis.is_catalogued:
             return ranking.probabilities().get(hypothesis.name, 0.0)

@@ -47,7 +47,7 @@ KINDS = {
 """Shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all targets seem to
 move alike it is the stands."""
 AT_TARGETS = {"reading": 0.2, "target": 0.8}
-"""The same for what happens at some targets: an instrument does not know where it looks."""
+"""Shares for causes that act at some targets only: mostly the target itself, for an instrument does not know it."""
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Weights of what a curve turns out to be, among those that there are: mostly itself, or a short formula."""
 P_PIECEWISE, P_SWITCHED, P_PER_SETUP = 0.1, 0.1, 0.1

@@ -87,7 +87,7 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
             sentences.append("Try more floor area, more rounds or wider tolerances.")
         outcomes = _came_of(plan.tried, plan.site.min_sights)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
-    return [*sentences, f"Fewer than {plan.tried[0].stations} stations were not searched."]
+    return [*sentences, f"Layouts with fewer than {plan.tried[0].stations} stations were not searched."]
 
 
 def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:

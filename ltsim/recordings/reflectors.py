@@ -80,6 +80,6 @@ def require_equal_radii(recording: Recording, what: str) -> None:
     """NetworkError where SMRs stand off the targets' places and `what` knows of none."""
     if excess_radii(recording) is not None:
         raise NetworkError(
-            f"{what} takes every target for one place, and SMRs of several radii stood at different ones; adjust or "
+            f"{what} assumes one centre per target, but SMRs of different radii have different centres; adjust or "
             "calibrate by the network, which puts each SMR along its nest's normal"
         )

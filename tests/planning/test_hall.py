@@ -217,7 +217,7 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         assert content.reached
         assert any(s.startswith(f"{counts[robust]} stations are the fewest") for s in content.reasons)
         first = 2 if robust == "no" else 3
-        assert f"Fewer than {first} stations were not searched." in content.reasons
+        assert f"Layouts with fewer than {first} stations were not searched." in content.reasons
         assert not any("make no network" in sentence for sentence in content.reasons)
     assert counts["no"] < counts["station"]
 

@@ -41,12 +41,12 @@ class Differences(ValueEquality):
 
     @property
     def mean(self) -> float:
-        """[m]."""
+        """Mean disagreement [m]."""
         return float(self.values.mean())
 
     @property
     def maximum(self) -> float:
-        """[m]."""
+        """Largest disagreement [m]."""
         return float(self.values.max())
 
     @property

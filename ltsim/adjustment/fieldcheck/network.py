@@ -32,7 +32,7 @@ TESTED: tuple[Kind, ...] = ("point", "difference", "length", "mark", "scale")
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
 EXPLAINED = 0.05
-"""Chance of what the instrument's errors explain, below which they are at work; otherwise the plain network counts."""
+"""p-value below which the misfit is attributed to instrument errors; otherwise the network without them is used."""
 
 
 def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:

@@ -71,5 +71,5 @@ SHARE = {
 
 
 def log_prior_of(kind: str, places: int) -> float:
-    """Log prior of a cause of a kind at one of so many places."""
+    """Log prior of a cause of the given kind at one place among the given number of places."""
     return float(np.log(SHARE[kind] / max(places, 1)))

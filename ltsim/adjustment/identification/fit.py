@@ -38,7 +38,7 @@ from ltsim.solve.design import median_deviation
 from ltsim.solve.gauss_newton import Solution, solve
 
 DETERMINED = 4.0
-"""Standard deviations of a shift below which no network supports it: four are exceeded by chance in one of 16,000."""
+"""Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000."""
 FAR = 50.0
 """Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
 REWEIGHTED, SAME_NOISE = 3, 0.05

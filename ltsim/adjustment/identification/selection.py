@@ -50,7 +50,7 @@ AGREES, FEW = 0.01, 0.01
 AFTER_ALL = 0.5
 """Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
 BENDS = 50.0
-"""Log evidence of a shift of ten standard deviations: a smaller one does not bend a network out of reach of itself."""
+"""Log evidence of a shift of ten standard deviations; a smaller shift hardly changes where a network converges."""
 FULFILLED = 0.8
 """Share of its promise, a quadratic form at the present state, from which the look at the others may be trusted too."""
 ALTERNATIVE = 5.0

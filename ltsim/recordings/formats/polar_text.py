@@ -38,7 +38,7 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read polar text; raises RecordError for a malformed line, or asking for what the data do not decide."""
+    """Readings of a polar text; raises RecordError for a malformed line, or for an option that the data leave open."""
     return tables.read(path, _with_settings(read_lines(path, liberal=True), hints, path), positional=True)
 
 

@@ -74,7 +74,7 @@ def recognises(path: Path, head: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read an instrument report.
 
-    Raises RecordError for a malformed or cut report, or asking for what the data do not decide.
+    Raises RecordError for a malformed or cut report, or for an option that the data leave open.
     """
     blocks = [block for block in _blocks(path) if block.rows]
     if not blocks:
