@@ -300,7 +300,7 @@ class Adjustment(Result):
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
-        covariance = self.factor.reduced_sets(columns)
+        covariance = self.factor.inverse_of_sets(columns)
         return covariance if self.datum is None else self.datum.transformed(covariance, columns)
 
     @cached_property
@@ -350,7 +350,7 @@ class Adjustment(Result):
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target), 3, 3))
         is_reduced = unknowns.target[:, 0] < unknowns.n_reduced
-        covariance[is_reduced] = self.factor.reduced_sets(unknowns.target[is_reduced])
+        covariance[is_reduced] = self.factor.inverse_of_sets(unknowns.target[is_reduced])
         blocks = self.factor.block_covariance()
         covariance[~is_reduced] = blocks[(unknowns.target[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
         if self.datum is not None:

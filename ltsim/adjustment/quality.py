@@ -223,7 +223,7 @@ def _undecided(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _mistakes(adjustment: Adjustment) -> Iterator[str]:
-    """Exchanged reflectors, units and faces behind pointings that were left out."""
+    """Blunders that explain the rejected pointings: exchanged reflectors, wrong units, wrong faces."""
     sentences = [finding.sentence.rstrip(".") for finding, *_ in detect_blunders(adjustment)]
     if sentences:
         more = f"; {len(sentences) - MOST_NAMED} more such mistakes" if len(sentences) > MOST_NAMED else ""

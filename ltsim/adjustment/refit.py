@@ -89,7 +89,7 @@ class FirstOrder(Tunable):
         return self.at
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """The gauge design of the effect."""
+        """Derivative (g, p) of the known lengths by the effect's parameters."""
         return self.base.gauge_design(first, second, points)
 
 

@@ -59,7 +59,7 @@ def air_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, 
     return {name: response for name, response in responses.items() if np.any(response)}
 
 
-def common_words(air: Air) -> tuple[str, str]:
+def shared_air_errors(air: Air) -> tuple[str, str]:
     """Errors of the air that all stations share; poses and targets absorb them, and no residual shows them."""
     scale = air.temperature_k * bending() / PPM
     return (
@@ -69,10 +69,10 @@ def common_words(air: Air) -> tuple[str, str]:
 
 
 def common_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, Floats]:
-    """Displacements (k,) of unknowns by one standard deviation of each error of `common_words`."""
+    """Displacements (k,) of unknowns by one standard deviation of each error of `shared_air_errors`."""
     rows, columns, readings = _used(adjustment, reach)
     shift = air_errors(air, adjustment.sightings)[rows, columns] / adjustment.problem.sigma[rows, columns][:, None]
-    return dict(zip(common_words(air), (readings @ shift).T, strict=True))
+    return dict(zip(shared_air_errors(air), (readings @ shift).T, strict=True))
 
 
 def _used(adjustment: Adjustment, reach: Floats) -> tuple[Ints, Ints, Floats]:
@@ -119,7 +119,7 @@ def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict
     chosen = air or adjustment.recording.setup.air or Air()
     targets = np.flatnonzero(~adjustment.problem.structure.unseen & ~adjustment.open_heights)
     columns = adjustment.problem.unknowns.target[targets]
-    parts: dict[str, list[Floats]] = {name: [] for name in common_words(chosen)}
+    parts: dict[str, list[Floats]] = {name: [] for name in shared_air_errors(chosen)}
     for _, reach in _batches(adjustment, columns):
         for name, response in common_responses(adjustment, reach, chosen).items():
             parts[name].append(response)

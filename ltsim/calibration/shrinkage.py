@@ -98,7 +98,7 @@ def correction_of(
         plausible_scale=evidence.plausible,
         uncorrected_um=before / MICROMETRE,
         corrected_um=after / MICROMETRE,
-        noise_um=reading_noise(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
+        noise_um=point_noise(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
         not_applied=not_applied,
         sentences=tuple(notes),
     )
@@ -217,7 +217,7 @@ class ScaledPrior:
         return float(np.sqrt(mean @ by_unit @ mean + rest)), float(np.sqrt(missed @ by_unit @ missed + rest))
 
 
-def reading_noise(recording: Recording, sigma: Floats) -> float:
+def point_noise(recording: Recording, sigma: Floats) -> float:
     """Rms [m] of the distance by which noise (n, 3) of one reading shifts a point, over all whole pointings."""
     whole = recording.measured.all(axis=1)
     if not whole.any():

@@ -51,7 +51,7 @@ class Calibrated:
     extra: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Parameters of further effects; empty for none, (q, B) [SI]."""
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(q, 1) or (q, B) [SI]."""
+    """Standard deviations of these, (q, 1) or (q, B) [SI]."""
     reflectors: Mapping[str, Floats] = field(default_factory=dict)
     """Parameters (14, B) [SI] of `smr-incidence` of each reflector whose error is estimated, by its name."""
 

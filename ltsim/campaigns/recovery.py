@@ -79,7 +79,7 @@ class Recovery(ResultFile, Result):
     unchecked: tuple[str, ...] = ()
     """Parameters that nothing was checked of: neither a sigma in each trial nor a tolerance."""
     allow_unchecked: bool = False
-    """True where parameters that nothing is checked of do not keep the run from passing."""
+    """True if the run may pass although some parameters have no check."""
     tolerances: dict[str, str] = Field(default_factory=dict)
     """Tolerances that were given, by parameter; only these parameters are checked, if there are any."""
     problem: str = ""

@@ -188,7 +188,7 @@ class RecoveryTrials(ValueEquality):
         return self._stacked("z")
 
     def unchecked(self) -> tuple[str, ...]:
-        """Parameters that nothing is checked of: neither a sigma in each trial nor a tolerance."""
+        """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
         if self.tolerance or not self.converged:
             return ()
         judged = np.all(np.isfinite(self.z), axis=0)

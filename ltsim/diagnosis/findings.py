@@ -90,7 +90,7 @@ class Explained:
 
     @cached_property
     def p_located(self) -> list[float]:
-        """Probability that an effect acts on observables, place and covariates of each member, whatever its name."""
+        """Probability that some effect has each member's observables, place and covariates, whichever effect it is."""
         return [self._p_located(i) for i in range(len(self.model.members))]
 
     @cached_property

@@ -21,7 +21,7 @@ from ltsim.physics.laws.regressor_library import waves
 from ltsim.scene.sightings import Sightings
 
 LEAST_SWITCHED = 2
-"""Smallest number of times within set-ups at which something is switched: a single step has cards."""
+"""Smallest number of switching times within set-ups; single steps are effects of the catalogue."""
 MOST_PIECES, EARLY_STOP = 10, 3
 """Largest number of steps and ramps, and of those tried after the evidence has last risen."""
 

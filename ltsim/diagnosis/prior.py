@@ -26,7 +26,7 @@ ABOUT = {
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
 }
-"""The same in words."""
+"""Kinds of `PRIOR` in words."""
 P_UNMODELLED = 0.2
 """Share of causes that are in no list, and look like something that is: one in five."""
 SAME_OBSERVABLE = 0.5

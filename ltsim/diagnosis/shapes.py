@@ -118,7 +118,7 @@ def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) ->
     Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; a
     coordinate that they do not confine has the standard deviation of the step times `FLAT`.
     """
-    centre = np.array(effect.hall_centre)
+    centre = np.array(effect.source_position)
     if not len(centre):
         return ()
     k = len(centre)

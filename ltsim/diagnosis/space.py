@@ -108,7 +108,7 @@ class _Maker:
         ] = {}
         for carrier, design in response_designs(self._s).values():
             weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
-            sized = at_noise(carrier, weights)
+            sized = scaled_to_noise(carrier, weights)
             self._carriers.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
     def ask(self, place: str, places: tuple[Place, ...], offered: Drivers, held: tuple[str, ...]) -> None:
@@ -190,7 +190,7 @@ def _swings(kind: str, wave: Regressor) -> bool:
     return kind == "reading" or wave.covariates[0] in SWINGS
 
 
-def at_noise(carrier: ResponseTerm, weights: Floats) -> ResponseTerm:
+def scaled_to_noise(carrier: ResponseTerm, weights: Floats) -> ResponseTerm:
     """The carrier with a plausible size that at least reaches the noise; `weights` (n, 3, c) are of its unit."""
     strength = carrier.size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     return replace(carrier, size=carrier.size * times_to_noise(strength))

@@ -1,4 +1,4 @@
-"""The public functions of what measured points are worth: tasks, and two epochs."""
+"""Public functions on the uncertainty of measured points: tasks, and the comparison of two epochs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

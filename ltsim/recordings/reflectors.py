@@ -46,7 +46,7 @@ def excess_of(
         listed = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
             f"the SMRs have different radii ({listed} mm); set reference_radius_mm at the head of the file, the "
-            "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest",
+            "radius of the SMR at whose centre the coordinates lie, or 0 for the seat of the nest",
             file=file,
         )
     reference = next(iter(radii), 0.0) if reference_mm is None else reference_mm

@@ -183,7 +183,7 @@ class KeepOut:
     clear: float = 0.0
 
     def holds(self, places: Floats) -> Bools:
-        """Places (N, 2) that stay free, (N,)."""
+        """Mask (N,) of the places (N, 2) that lie in this area, which stays free."""
         near = distance(self.outline, places) < self.clear + EDGE
         return near | inside(self.outline, places) if len(self.outline) > 2 else near
 

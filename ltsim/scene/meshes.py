@@ -31,7 +31,7 @@ FOOT = 0.025
 UNEVEN = 0.002
 """[m] Largest deviation of the surface from a plane under the foot."""
 STEEPEST = -0.5
-"""Height of the normal under which a face looks down too much: nobody hangs a nest under a body."""
+"""Smallest vertical component of a face's normal: faces that look down more carry no nest."""
 DENSE = 12.0
 """Places that are drawn for every square of the wanted distance, before the near ones are dropped."""
 MOST_DRAWN = 20_000

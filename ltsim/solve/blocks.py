@@ -96,10 +96,10 @@ class BlockFactor:
         return self._elimination.reduced_inverse * np.outer(scale, scale)
 
     @single_threaded
-    def reduced_sets(self, columns: Ints) -> Floats:
+    def inverse_of_sets(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of reduced unknowns; cheap where a row of the design holds each set."""
         scale = self._scale[columns]
-        return self._elimination.reduced_sets(columns) * scale[:, :, None] * scale[:, None, :]
+        return self._elimination.inverse_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
     def block_covariance(self) -> Floats:

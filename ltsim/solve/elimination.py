@@ -47,7 +47,7 @@ class DenseElimination:
         """The inverse (K, K) on the reduced unknowns."""
         return self._inverse[: self._n_reduced, : self._n_reduced]
 
-    def reduced_sets(self, columns: Ints) -> Floats:
+    def inverse_of_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of reduced unknowns."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
@@ -57,7 +57,7 @@ class DenseElimination:
         at = np.arange(self._n_reduced, len(self._root)).reshape(-1, 3)
         rows = (self._design * self.scale).T
         whitened = scipy.linalg.solve_triangular(self._root, rows, lower=True, check_finite=False)
-        return self.reduced_sets(at), np.einsum("um,um->m", whitened, whitened)
+        return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """R N^-1 R' for groups of neighbouring rows."""
@@ -100,7 +100,7 @@ class SparseElimination:
         """The inverse (K, K) on the reduced unknowns."""
         return self._chain.inverse()
 
-    def reduced_sets(self, columns: Ints) -> Floats:
+    def inverse_of_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of reduced unknowns."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._lowest(columns, axis=1)

@@ -9,7 +9,7 @@ import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_errors, reading_noise
+from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_errors, point_noise
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
 from ltsim.core.randomness import stream
@@ -116,7 +116,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
         seen.append(cloud_error(recording, measured_points(recording), truth.state.points))
     found = lt.calibrate(recording, advise=False)
     assert found.correction is not None
-    stated = reading_noise(recording, recording.sigma())
+    stated = point_noise(recording, recording.sigma())
     free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
     assert found.correction.noise_um == pytest.approx(1e6 * stated)

@@ -69,7 +69,7 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
         np.testing.assert_allclose(np.mod(got[:, 1] - want[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
     sense = "clockwise" if clockwise else "counter-clockwise"
     notes = " ".join(recording.notes)
-    assert f"azimuths are interpreted as {sense} (the set-ups then see the same points" in notes
+    assert f"azimuths are interpreted as {sense} : with this, the points agree" in notes
     assert "is interpreted as zenith angles" in notes
     assert "2 observations are switched off" in notes
     assert recording.has_clock

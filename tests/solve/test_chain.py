@@ -47,7 +47,7 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     for ours, theirs in zip(sparse.blocks_and_leverage, dense.blocks_and_leverage, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9)
     columns = np.array([[0, 1], [5, 5]]) if not shared else np.array([[kept - 1, kept - 2], [3, kept - 1]])
-    np.testing.assert_allclose(sparse.reduced_sets(columns), dense.reduced_sets(columns), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.inverse_of_sets(columns), dense.inverse_of_sets(columns), rtol=1e-7, atol=1e-9)
 
 
 def test_sets_that_are_far_apart_are_answered_too():
@@ -55,7 +55,7 @@ def test_sets_that_are_far_apart_are_answered_too():
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
     block_of = sparse._chain.block_of
     far = np.array([[int(np.argmin(block_of)), int(np.argmax(block_of))]])
-    np.testing.assert_allclose(sparse.reduced_sets(far), dense.reduced_sets(far), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.inverse_of_sets(far), dense.inverse_of_sets(far), rtol=1e-7, atol=1e-9)
 
 
 def test_damping_is_that_of_the_unit_diagonal():

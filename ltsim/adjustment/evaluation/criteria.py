@@ -101,7 +101,7 @@ CRITERIA = Table(
 
 @dataclass(frozen=True, repr=False)
 class Criteria(Result):
-    """Both criteria; verification fills only the first and the last."""
+    """Criteria of the paper; `distance_to_first` (eq. 11) is None after a verification."""
 
     distance: Improvement
     coordinate: Improvement

@@ -84,7 +84,7 @@ class HeatPlume(WarmAir):
         return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
 
     @property
-    def hall_centre(self) -> tuple[float, ...]:
+    def source_position(self) -> tuple[float, ...]:
         """Centre [m] of a plume that stands in the hall."""
         return () if self.stations or self.targets else self.offset
 

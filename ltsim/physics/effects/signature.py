@@ -184,14 +184,14 @@ class Tunable(Signature, Protocol):
         return ()
 
     @property
-    def hall_centre(self) -> tuple[float, ...]:
+    def source_position(self) -> tuple[float, ...]:
         """Coordinates [m], network frame, of the place of the hall where it stands; empty where it has none."""
         return ()
 
     @property
     def hall_axes(self) -> str:
         """Axes of these coordinates."""
-        return "xyz"[: len(self.hall_centre)]
+        return "xyz"[: len(self.source_position)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
         """The same law with its place of the hall elsewhere."""

@@ -124,7 +124,7 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     @property
-    def hall_centre(self) -> tuple[float, ...]:
+    def source_position(self) -> tuple[float, ...]:
         """Centre [m] of the region of the hall that it follows."""
         return self.driver.region.centre if self.driver.region else ()
 

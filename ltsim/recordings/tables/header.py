@@ -205,10 +205,10 @@ def _has_role(title: str) -> bool:
 
 def is_header(columns: Sequence[TableColumn]) -> bool:
     """True if two of direction, vertical angle and distance are among the columns, or all three coordinates."""
-    return _kinds_in(columns) > 1 or names_places(columns)
+    return _kinds_in(columns) > 1 or has_named_coordinates(columns)
 
 
-def names_places(columns: Sequence[TableColumn]) -> bool:
+def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
     """True if the columns hold x, y, z of named targets."""
     return {"target", *PLACE} <= {column.role for column in columns}
 

@@ -175,7 +175,7 @@ def _sense(
         azimuth = sense_by_poses(local, polar, poses)
         if azimuth is not None:
             return azimuth, [
-                f"azimuths are interpreted as {azimuth} (the set-ups then see the same points from their rough places)"
+                f"azimuths are interpreted as {azimuth}: with this, the points agree from all approximate stations"
             ]
     column = table.column(HORIZONTAL)
     if table.positional or column is None:

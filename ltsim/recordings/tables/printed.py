@@ -69,7 +69,7 @@ def exactly(
 
 
 def _integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
-    """Products (n,) of numbers without their decimal point and a multiplier: of 64 bits where floats hold them all."""
+    """Numbers (n,) without decimal point times a multiplier: int64 where floats hold all, else Python integers."""
     values = as_floats(digits)
     if unit * multiplier * int(np.abs(values).max(initial=LARGEST_TURN)) < EXACT:
         return np.rint(values * 10**places).astype(np.int64) * multiplier

@@ -18,7 +18,7 @@ from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.specification import TOTAL_STATION
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import ALLOWED, TableColumn, names_places
+from ltsim.recordings.tables.header import ALLOWED, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.instruments import instrument_of, is_total_station
 from ltsim.recordings.tables.meaning import ColumnInterpretation, readings_of, sigmas_of_places
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, codes
@@ -98,7 +98,7 @@ def recognises(path: Path, head: str) -> bool:
         return False
     rows = rows_of_head(head if head.endswith("\n") else "\n".join(head.splitlines()[:-1]))  # the last may be cut
     headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
-    if headers and names_places(headers[0]) and not any(c.role == "station" for c in headers[0]):
+    if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
     measured = sum(row.values > 1 and len(row.fields) > 2 for row in rows)
     return bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows))
