@@ -43,7 +43,7 @@ class Direction:
 
 
 def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Gains (p,), 1 less posterior over prior variance, ascending; their combinations (p, p), columns in prior sigmas."""
+    """Gains (p,), 1 less posterior over prior variance, ascending; their combinations (p, p) in prior sigmas."""
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     remaining, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     return np.clip(1.0 - remaining[::-1], 0.0, 1.0), vectors[:, ::-1]
