@@ -31,6 +31,7 @@ RICH: dict[str, Any] = {
 }
 """A scenario in which each key has something to act on."""
 OTHER: dict[str, Any] = {
+    "air": {"temperature_k": 1.0},
     "reference_radius_mm": 19.05,
     "workshop.pressure_hpa": 900.0,
     "instrument.preset": "modern",
