@@ -69,7 +69,7 @@ class Recording(Result):
     repeat: Ints
     """(n,)."""
     time: Floats
-    """Since the start; the row number where the recording has no clock, (n,) [s]."""
+    """Time since the start; the row number where the recording has no clock, (n,) [s]."""
     readings: Floats
     """Raw range, azimuth, elevation; NaN where not measured, (n, 3) [m, rad, rad]."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)

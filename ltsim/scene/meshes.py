@@ -80,7 +80,7 @@ class Obstacles:
         return hit
 
     def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
-        """Something hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m], (n,).
+        """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
 
         Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
         """

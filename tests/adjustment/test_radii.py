@@ -135,7 +135,7 @@ def test_calibration_and_its_criteria_know_the_balls() -> None:
     mine, plain = found.criteria.distance.before.values, alone.criteria.distance.before.values
     np.testing.assert_allclose(mine, plain, atol=3e-6)
     for method in (lambda: lt.calibrate(recording, method="distance"), lambda: lt.evaluate(recording)):
-        with pytest.raises(NetworkError, match="several radii stood at different"):
+        with pytest.raises(NetworkError, match="SMRs of different radii have different centres"):
             method()
 
 

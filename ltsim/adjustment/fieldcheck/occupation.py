@@ -114,7 +114,7 @@ class StationOccupation:
 
     @property
     def weight(self) -> Floats:
-        """One over sigma of the readings in use, 0 elsewhere, (n, 3)."""
+        """Inverse standard deviations (n, 3) of the readings in use, 0 elsewhere."""
         return np.where(self.recording.measured & self.use[:, None], 1.0 / self.sigma, 0.0)
 
     def projected(self, columns: Floats) -> Floats:
