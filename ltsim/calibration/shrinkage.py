@@ -261,13 +261,13 @@ class HeldOutTarget:
     """
 
     residual: Floats
-    """S r, (m,)."""
+    """Held-out residual S r, (m,)."""
     by_parameter: Floats
     """Covariance S B' of the prediction with the parameters, B = C A', (m, q)."""
     covariance: Floats
     """(q, q): of the parameters, from the other targets."""
     shift: Floats
-    """B S r: the estimate from all readings less that from the others, (q,)."""
+    """Shift b S r, the estimate from all readings less that from the others, (q,)."""
 
     def squares(self, values: Floats, fixed: Ints) -> float:
         """Sum of squares with the parameters `fixed` at zero; `values` (q,) are the estimates from all readings."""
