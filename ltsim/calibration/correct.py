@@ -49,28 +49,29 @@ def correct(recording: RecordingSource, calibration: CalibrationSource, *, again
     if not again and any(source.instrument_of(name).corrected for name in source.stations):
         raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
     values = corrections.values_for(source)
-    readings = corrected_readings(without_incidence_errors(source, corrections), corrections.construction, values)
+    without = source.with_readings(source.readings - incidence_change(source, corrections))
+    readings = corrected_readings(without, corrections.construction, values)
     setup, mark = source.setup, {"corrected": True}
     instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
     marked = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
     return source.replace(setup=setup.model_copy(update=marked), readings=readings)
 
 
-def without_incidence_errors(recording: Recording, calibration: Calibration) -> Recording:
-    """The recording without the incidence errors of reflectors that a calibration estimated.
+def incidence_change(recording: Recording, calibration: Calibration) -> Floats:
+    """Change (n, 3) of the readings by the incidence errors of reflectors that a calibration estimated.
 
-    They need the nests' directions and a rough network; a recording without them stays as it is.
+    It needs the nests' directions and a rough network; without them it is zero.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal())
     if not any(error.reflector in reflectors for error in model.incidence):
-        return recording
+        return np.zeros(recording.readings.shape)
     try:
         (position, rotation, points), _ = initial_network(recording)
     except NetworkError:
-        return recording
+        return np.zeros(recording.readings.shape)
     sightings = model.sightings(State(position, rotation, points, np.zeros((len(recording.instruments), 0))))
-    return recording.with_readings(recording.readings - incidence_shift(recording, sightings, reflectors))
+    return incidence_shift(recording, sightings, reflectors)
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.correct import without_incidence_errors
+from ltsim.calibration.correct import incidence_change
 from ltsim.calibration.distance import METHODS, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.files import CalibrationSource, calibration_of, read_calibration
@@ -201,7 +201,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     if calibration is None:
         return criteria_of(source, use=use)
     corrections = calibration_of(calibration)
-    change = source.readings - without_incidence_errors(source, corrections).readings
+    change = incidence_change(source, corrections)
     return criteria_of(source, corrections.construction, corrections.values_for(source), shift=change, use=use)
 
 
@@ -227,7 +227,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     ['distance', 'coordinate']
     """
     source, corrections = recording_of(recording), calibration_of(calibration)
-    change = source.readings - without_incidence_errors(source, corrections).readings
+    change = incidence_change(source, corrections)
     values = corrections.values_for(source)
     return verified(source, read_nominal(Path(nominal)), corrections.construction, values, shift=change)
 

@@ -220,8 +220,8 @@ class Engine(Calibrator):
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
         extra_columns = slice(network.sizes[2], network.sizes[2] + len(fit.extra))
         extra = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
-        spread = sigma, fit.points, fit.chi2, status, fit.extra, extra
-        return Calibrated(fit.values, *spread, fit.reflectors), fit.converged
+        further = fit.extra, extra, fit.reflectors
+        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, *further), fit.converged
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
         """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""

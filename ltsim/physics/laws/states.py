@@ -77,8 +77,7 @@ def _functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
 def state(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
     """A state (n,) about its mean."""
     key: State = name, how, constant
-    if key not in sightings.derived:
-        _keep(sightings, [key])
+    _keep(sightings, [key])
     values: Floats = sightings.derived[key]
     return values
 
@@ -131,7 +130,10 @@ def _released(sightings: Sightings, how: str, constant: float) -> Bools:
 
 
 def _keep(sightings: Sightings, states: Sequence[State]) -> None:
-    """Work out states (n,) side by side and keep them with the sightings."""
+    """Work out states (n,) side by side, those not yet known, and keep them with the sightings."""
+    states = [key for key in states if key not in sightings.derived]
+    if not states:
+        return
     rows = sightings.by_set_up
     inputs = {name: _added(sightings, name)[rows] for name in {name for name, _, _ in states}}
     factors = {key: _factor(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
