@@ -58,10 +58,9 @@ class Sight:
         """The same rows with their azimuths alone."""
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
-    @property
-    def angles(self) -> Sight:
-        """The same rows without their distances."""
-        return replace(self, readings=np.where([False, True, True], self.readings, np.nan))
+    def without(self, observable: int) -> Sight:
+        """The same rows without their distances (0), azimuths (1) or elevations (2)."""
+        return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
 
     def few(self) -> tuple[Ints, Sight]:
         """Subset of at most `ROWS` rows."""

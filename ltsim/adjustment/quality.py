@@ -10,6 +10,7 @@ from ltsim.adjustment.blunders import CLOSE, correct_units, detect_blunders
 from ltsim.adjustment.centring import centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
+from ltsim.adjustment.reference_values import without_coordinates
 from ltsim.adjustment.station_motions import motion_sentences
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
@@ -82,10 +83,8 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     control, recording = adjustment.problem.control, adjustment.recording
     if not (adjustment.sigma0 > CONTRADICTION and len(control)):
         return
-    unknown = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
-    setup = recording.setup.model_copy(update={"targets": unknown})
     try:
-        alone = adjust(recording.replace(setup=setup), adjustment.construction, prior=adjustment.problem.prior)
+        alone = adjust(without_coordinates(recording), adjustment.construction, prior=adjustment.problem.prior)
     except LtsimError:
         return
     if not (alone.solution.converged and alone.sigma0 < HEALED * adjustment.sigma0):

@@ -132,3 +132,22 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
         change = {"targets": setup.targets | {name: setup.targets[name].model_copy(update=cleared)}}
     return recording.replace(setup=setup.model_copy(update=change))
+
+
+COORDINATES = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
+"""Keys of a target that its reference coordinates consist of."""
+
+
+def without_coordinates(recording: Recording) -> Recording:
+    """The recording whose set-up states no reference coordinates."""
+    targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+
+
+def exchanged(recording: Recording, first: str, second: str) -> Recording:
+    """The recording with the reference coordinates of two targets exchanged."""
+    targets = dict(recording.setup.targets)
+    for here, there in ((first, second), (second, first)):
+        coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATES}
+        targets[here] = recording.setup.targets[here].model_copy(update=coordinates)
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))

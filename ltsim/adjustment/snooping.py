@@ -11,7 +11,7 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.stochastic_model import HUBER, STILL
+from ltsim.adjustment.stochastic_model import STILL, cauchy_weights
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
@@ -205,13 +205,14 @@ def snoop_readings(
 ) -> tuple[NetworkProblem, Solution[State]]:
     """The problem without its outliers, and its solution; every reading in `use` may be used, `state` is near it.
 
-    Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
+    Reweighting finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
     """
+    scale = np.inf
     for _ in range(RELAXATIONS):
         whitened = whitened_readings(problem, state)
-        scale = max(median_deviation(whitened[problem.use]), 1e-3)
-        state, length = _step(problem, state, np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0)))
+        scale = min(scale, max(median_deviation(whitened[problem.use]), 1e-3))
+        state, length = _step(problem, state, 1.0 / np.sqrt(cauchy_weights(np.nan_to_num(whitened) / scale)))
         if length < STILL:
             break
     try:

@@ -100,6 +100,7 @@ EFFECTS = {
     ("target-moved", "position"): "target-moved",
     ("reflector-radius", "position"): "smr-offset",
     ("names", "position"): "target-swap",
+    ("names", "point"): "target-swap",
     ("unit", "position"): "wrong-unit",
     ("height", "position"): "outlier",
 }

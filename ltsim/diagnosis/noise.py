@@ -44,7 +44,7 @@ from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
-EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0)
+EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0, 75.0)
 """Added variances over the declared: of all readings, at the maximum of a pattern, of targets."""
 MOST_TARGETS = 60
 """Single targets and clusters of targets are hypotheses in networks of at most this many targets."""

@@ -70,23 +70,24 @@ def best_fit(
 def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     """Rigid alignment (3, 3), (3,) by least absolute deviations: a few points that are off by any amount tilt nothing.
 
-    The sum of the misses has several minima where one of them is large: reweighting begins at the best of the least
-    squares and of the fits to triples of points.
+    The sum of the misses has several minima where one of them is large, and of four points it may be least where none
+    fits: reweighting begins at the least squares or at a fit to three points, where the sum of the logarithms is least.
 
     NetworkError as of `best_fit`.
     """
     best = align(source, goal)
     if len(source) < 4:
         return best
-    total = float(_misses(source, goal, best).sum())
-    for triple in _triples(len(source)) if total > SOUND * len(source) else ():
+    miss = _misses(source, goal, best)
+    least = _log_size(miss)
+    for triple in _triples(len(source)) if miss.mean() > SOUND else ():
         try:
             tried = align(source[triple], goal[triple])
         except NetworkError:  # on one line
             continue
-        size = float(_misses(source, goal, tried).sum())
-        if size < total:
-            best, total = tried, size
+        size = _log_size(_misses(source, goal, tried))
+        if size < least:
+            best, least = tried, size
     for _ in range(ROBUST_PASSES):
         miss = _misses(source, goal, best)
         floor = max(1e-5, 0.5 * median(miss))
@@ -96,9 +97,19 @@ def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     return best
 
 
+def largest_miss(source: Floats, goal: Floats) -> float:
+    """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment; errors as of it."""
+    return float(_misses(source, goal, align(source, goal)).max())
+
+
 def _misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
     """Distances (n,) [m] of moved points from their goals."""
     return np.asarray(np.linalg.norm(source @ motion[0].T + motion[1] - goal, axis=1))
+
+
+def _log_size(miss: Floats) -> float:
+    """Sum of the logarithms of misses (n,) [m], each at least `SOUND`: it prefers a few large ones to many small."""
+    return float(np.log(np.maximum(miss, SOUND)).sum())
 
 
 def _triples(count: int) -> list[list[int]]:

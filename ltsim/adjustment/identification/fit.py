@@ -10,7 +10,14 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
-from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.hypothesis import (
+    Correction,
+    Exchange,
+    Hypothesis,
+    NoiseFactor,
+    Omission,
+    Shift,
+)
 from ltsim.adjustment.identification.resection import resected
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
@@ -20,6 +27,7 @@ from ltsim.adjustment.reference_values import (
     ReferenceValue,
     common_scale,
     drop_reference,
+    exchanged,
     reference_values,
 )
 from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, prediction_spread, snoop_readings
@@ -83,14 +91,17 @@ class Fit:
     solution: Solution[State]
 
     @classmethod
-    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> list[ReferenceRows]:
-        """Reference values that a robust state misses by far: a fit that believes them bends the whole network."""
+    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> tuple[list[ReferenceRows], int]:
+        """Reference values that a robust state misses by far, and the number of all.
+
+        A network that believes them bends as a whole.
+        """
         problem, start = cls._problem(network, hypotheses)
-        state, residual = robust_state(relaxed_references(problem, start), start)
+        relaxed = relaxed_references(problem, start)
+        state, residual = robust_state(relaxed, resected(relaxed, start))
         limit = FAR * max(median_deviation(residual[: int(problem.use.sum())]), 1.0)
         values = [v for v in reference_values(problem, state) if v.kind != "mark"]
-        far = [v for v in values if float(np.abs(residual[v.rows]).max()) > limit]
-        return far if 3 * len(far) <= max(len(values), 3) else []
+        return [v for v in values if float(np.abs(residual[v.rows]).max()) > limit], len(values)
 
     @classmethod
     def of(
@@ -107,7 +118,7 @@ class Fit:
         fresh = start is None
         problem, start = cls._problem(network, hypotheses, start, near)
         if fresh:
-            start = resected(problem, robust_state(problem, start)[0])
+            start = resected(problem, robust_state(problem, resected(problem, start))[0])
         whole = drop_undetermined(problem, start)
         fit = cls(network, tuple(hypotheses), whole, *snoop_readings(whole, start, ROUNDS))
         if any(isinstance(h.change, NoiseFactor) for h in hypotheses):
@@ -376,4 +387,6 @@ def changed_recording(recording: Recording, hypotheses: Sequence[Hypothesis]) ->
     for h in hypotheses:
         if isinstance(h.change, Omission):
             recording = drop_reference(recording, h.change.value)
+        elif isinstance(h.change, Exchange):
+            recording = exchanged(recording, *h.change.names)
     return recording

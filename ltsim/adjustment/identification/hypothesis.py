@@ -63,7 +63,14 @@ class NoiseFactor:
     guess: float = 1.0
 
 
-Change = Shift | Omission | Correction | NoiseFactor
+@dataclass(frozen=True)
+class Exchange:
+    """Two targets whose reference coordinates were exchanged."""
+
+    names: tuple[str, str]
+
+
+Change = Shift | Omission | Correction | NoiseFactor | Exchange
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -15,11 +16,23 @@ import numpy as np
 from ltsim.adjustment.blunders import correct_faces, correct_units, detect_blunders
 from ltsim.adjustment.identification.evidence import log_prior_of
 from ltsim.adjustment.identification.fit import Fit
-from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, Kind, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.hypothesis import (
+    Correction,
+    Exchange,
+    Hypothesis,
+    Kind,
+    NoiseFactor,
+    Omission,
+    Shift,
+)
 from ltsim.adjustment.identification.signatures import ReadingShift
-from ltsim.adjustment.reference_values import ReferenceRows, reference_values
+from ltsim.adjustment.reference_values import ReferenceRows, reference_values, without_coordinates
+from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.station_motions import EvenMotion
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.units import MILLIMETRE
+from ltsim.geometry.alignment import largest_miss
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
@@ -34,6 +47,10 @@ MIN_POINTINGS = 3
 """Pointings before and after the moment at which a station moves: with fewer a single reading explains as much."""
 MOST_MOMENTS = 60
 """Moments of one station or target at which a change is tried; spread evenly over its pointings."""
+LEAST_POINTS = 4
+"""Reference points of which two can be told to be exchanged: three fit each other's mirror image as well."""
+HEALED = 0.02
+"""Ratio of the largest misses of reference points, with two exchanged and otherwise, that no other cause produces."""
 Place = Literal["station", "target"]
 
 
@@ -209,6 +226,37 @@ def conventions(recording: Recording) -> list[Hypothesis]:
         prior = log_prior_of("unit", len(recording.stations))
         hypotheses.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
     return hypotheses
+
+
+def exchanges(recording: Recording) -> list[Hypothesis]:
+    """Two reference points with each other's coordinates: by the shape of the network without reference points."""
+    stated = {name: recording.target_setup(name) for name in recording.targets}
+    names = [name for name, target in stated.items() if target.known_mm is not None and target.known_axes == "xyz"]
+    if len(names) < LEAST_POINTS:
+        return []
+    try:
+        (_, _, points), _ = initial_network(without_coordinates(recording))
+        here = points[[recording.targets.index(name) for name in names]]
+        there = np.array([stated[name].known_mm for name in names]) * MILLIMETRE
+        miss = largest_miss(here, there)
+        pairs = list(combinations(range(len(names)), 2))
+        swapped = [largest_miss(here, there[_swapped(len(names), *pair)]) for pair in pairs]
+    except NetworkError:
+        return []
+    best = int(np.argmin(swapped))
+    if not swapped[best] < HEALED * min([miss, *swapped[:best], *swapped[best + 1 :]]):
+        return []
+    first, second = (names[i] for i in pairs[best])
+    sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
+    prior = log_prior_of("names", len(pairs))
+    return [Hypothesis("names", "point", (), (first, second), prior, Exchange((first, second)), sentence)]
+
+
+def _swapped(count: int, first: int, second: int) -> list[int]:
+    """Order of points with two of them exchanged."""
+    order = list(range(count))
+    order[first], order[second] = second, first
+    return order
 
 
 def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:

@@ -1,7 +1,7 @@
-"""Resection: set-ups of which most readings contradict the network, placed anew by their angles alone.
+"""Resection: set-ups of which most readings contradict the network, placed anew without one of their observables.
 
 Ranges that are wrong by the same amount, or in the same ratio, displace a set-up, and all its angles then look as wrong
-as its ranges.
+as its ranges; elevations with a wrong index tilt it, and all its readings look wrong.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ltsim.adjustment.snooping import whitened_readings
 from ltsim.core.arrays import Bools, grouped
 from ltsim.geometry.polar import to_face
 from ltsim.physics.model.measurement import State, lift_of
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import median_deviation
 
 FAR = 50.0
@@ -25,7 +26,7 @@ MOST = 0.5
 
 
 def resected(problem: NetworkProblem, state: State) -> State:
-    """State in which set-ups with mostly far residuals stand where their angles say, if these are near then."""
+    """State in which set-ups with mostly far residuals stand where two of their observables say, if these are near."""
     recording, far = problem.model.recording, _far(problem, state)
     if not far.any() or far[problem.use].mean() > MOST:
         return state
@@ -36,14 +37,15 @@ def resected(problem: NetworkProblem, state: State) -> State:
         if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
             continue
         sight = Sight(front[rows], recording.is_horizontal[rows], lift[rows])
-        pose = fit_pose(sight.angles, state.points[recording.target[rows]])
-        if pose is None:
-            continue
-        position, rotation = state.position.copy(), state.rotation.copy()
-        position[station], rotation[station] = pose
-        moved = replace(state, position=position, rotation=rotation)
-        if _far(problem, moved)[rows].sum() < far[rows].sum():
-            state = moved
+        for left_out in range(len(OBSERVABLES)):
+            pose = fit_pose(sight.without(left_out), state.points[recording.target[rows]])
+            if pose is None:
+                continue
+            position, rotation = state.position.copy(), state.rotation.copy()
+            position[station], rotation[station] = pose
+            moved = replace(state, position=position, rotation=rotation)
+            if _far(problem, moved)[rows].sum() < _far(problem, state)[rows].sum():
+                state = moved
     return state
 
 

@@ -7,12 +7,13 @@ as outliers is seen, whatever its size. Both only rank: what is reported comes f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.fitting import Sight, fit_point
 from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
@@ -20,7 +21,10 @@ from ltsim.adjustment.identification.library import Candidate, candidates, corre
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.core.arrays import Bools, Floats, Ints, median
+from ltsim.geometry.polar import to_face
 from ltsim.physics.effects.gauge_scale import GaugeScale
+from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.model.measurement import lift_of
 from ltsim.solve.gauss_newton import solve
 
 AT_ONCE = 4_000_000
@@ -49,6 +53,9 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
     if fit.outliers.any():
         local, guesses = _local(fit, every)
         gains = np.maximum(gains, local)
+        for i, gain, guess in _moved_targets(fit, every):
+            if gain > gains[i]:
+                gains[i], guesses[i] = gain, guess
     ranked = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
     offers = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _best_per_place(ranked, every)]
     for space, behind in spaces:
@@ -173,6 +180,48 @@ def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
             if gain > gains[i]:
                 gains[i], guesses[i] = gain, sign * guess
     return gains, guesses
+
+
+def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, float, Floats]]:
+    """Moved targets by where the stations place them before and after: index, log evidence, and motion (3,) [m].
+
+    A target that moved by far is placed between both by its network, where no reading to it fits.
+    """
+    gross, sightings = np.asarray(fit.outliers.any(axis=1)), fit.adjustment.sightings
+    moved = [i for i, c in enumerate(every) if c.family.kind == "target-moved"]
+    share = {every[i].name: float(gross[np.append(every[i].rows, every[i].before)].mean()) for i in moved}
+    suspects = sorted((name for name in share if share[name] > HALF), key=lambda name: -share[name])[:PLACES]
+    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
+    sigma = fit.problem.sigma
+    for i in (i for i in moved if every[i].name in suspects):
+        parts = every[i].before, every[i].rows
+        points = [_place(fit, rows) for rows in parts]
+        if points[0] is None or points[1] is None:
+            continue
+        displacement = np.zeros((len(sightings), 3))
+        for rows, point in zip(parts, points, strict=True):
+            displacement[rows] = point - fit.state.points[sightings.target[rows]]
+        both = np.concatenate(parts)
+        rest = (fit.residuals - exact_target_change(sightings, displacement))[both] / sigma[both]
+        used = fit.whole.use[both]
+        saved = sum(
+            sign * float(np.minimum(0.5 * w[used] ** 2, price).sum())
+            for sign, w in ((1.0, fit.whitened[both]), (-1.0, rest))
+        )
+        yield i, saved + float(occam(10.0, 3)) + every[i].log_prior, points[1] - points[0]
+
+
+def _place(fit: Fit, rows: Ints) -> Floats | None:
+    """Place (3,) [m] of a target by some pointings to it, the stations as they are; None where it is not clear."""
+    recording, state = fit.recording, fit.state
+    lift = lift_of(recording)
+    sight = Sight(
+        np.where(fit.whole.use[rows], to_face(recording.readings[rows], recording.face[rows]), np.nan),
+        recording.is_horizontal[rows],
+        np.zeros((len(rows), 3)) if lift is None else lift[rows],
+    )
+    station = recording.station[rows]
+    return fit_point(sight, state.position[station], state.rotation[station])
 
 
 def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Floats]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.identification.fit import Fit, Network
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Omission
-from ltsim.adjustment.identification.library import conventions, omissions_of
+from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, NoiseFactor, Omission
+from ltsim.adjustment.identification.library import conventions, exchanges, omissions_of
 from ltsim.adjustment.identification.screen import looks
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.snooping import LARGEST_ERROR
@@ -47,6 +47,8 @@ COMPUTED = 1e-6
 """Chi-square over degrees of freedom below which readings are computed: a thousandth of the declared noise."""
 AGREES, FEW = 0.01, 0.01
 """Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
+FAR_AMONG = 3
+"""One in so many reference values may be far off and left out at the beginning: of more no majority tells which."""
 AFTER_ALL = 0.5
 """Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
 BENDS = 50.0
@@ -97,7 +99,8 @@ class Selection:
         shared = [h for h in sure if h.kind in SHARED]
         values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
         far = [h for h in values if self.fit.displacement(h) > WRONG_PLACE]
-        gross = any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
+        exchanged = any(isinstance(h.change, Exchange) for h in sure)
+        gross = exchanged or any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > AGREES)
 
@@ -183,10 +186,14 @@ def _beginning(network: Network) -> Fit:
 
     With these a network bends so far that nothing else of it can be seen.
     """
-    units = conventions(network.recording)
-    far = omissions_of(network.recording, Fit.far_references(network, units))
-    fit = Fit.of(network, (*units, *far))
-    if fit is None and (units or far):
+    stated = conventions(network.recording)
+    far, count = Fit.far_references(network, stated)
+    if any(value.kind == "point" for value in far) and (names := exchanges(network.recording)):
+        stated = [*stated, *names]
+        far, count = Fit.far_references(network, stated)
+    omitted = omissions_of(network.recording, far) if FAR_AMONG * len(far) <= max(count, FAR_AMONG) else []
+    fit = Fit.of(network, (*stated, *omitted))
+    if fit is None and (stated or omitted):
         fit = Fit.of(network)
     if fit is None:
         raise NetworkError("the observations contradict each other so far that no network fits them")

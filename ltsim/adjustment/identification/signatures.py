@@ -6,6 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
+from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.signature import Parameter, Signature, on_readings
 from ltsim.scene.sightings import Sightings
 
@@ -58,3 +59,10 @@ class ReadingShift(Signature):
         acts = self.mask(sightings) * (sightings.time >= self.since)
         size = acts * sightings.range_ if self.proportional else acts
         return on_readings(sightings, **{self.observable: -size[:, None]})
+
+    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats] | None:
+        """Derivatives of a scale error: distances change by that share of their change."""
+        if not self.proportional:
+            return None
+        scaled = np.where(self.design(sightings) != 0.0, values[0] * sightings.by_target, 0.0)
+        return scaled, pose_design(scaled, sightings.arm)

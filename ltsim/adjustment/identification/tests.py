@@ -10,7 +10,14 @@ from scipy import special
 
 from ltsim.adjustment.identification.evidence import log_prior_of, occam
 from ltsim.adjustment.identification.fit import Fit
-from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.hypothesis import (
+    Correction,
+    Exchange,
+    Hypothesis,
+    NoiseFactor,
+    Omission,
+    Shift,
+)
 from ltsim.adjustment.identification.selection import LARGEST_GAIN, Choice, Selection
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.core.arrays import Floats
@@ -178,7 +185,7 @@ REFERENCES = {
 def sentence_of(fit: Fit, h: Hypothesis) -> str:
     """A hypothesis that was accepted, in a sentence with its usual causes."""
     at = ", ".join((*h.stations, *h.targets))
-    if isinstance(h.change, Correction):
+    if isinstance(h.change, Correction | Exchange):
         return h.name
     if isinstance(h.change, NoiseFactor):
         factor = noise_factor(fit, h)

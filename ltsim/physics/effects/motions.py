@@ -1,6 +1,6 @@
 """Changes of readings when targets or stations move: exact, first order, and as bases of the effects of motion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from ltsim.scene.sightings import Sightings
 
 def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
-    local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], displacement)
-    return reading_change(sightings, sightings.local + local)
+    return reading_change(sightings, _displaced(sightings, displacement).local)
 
 
 def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
@@ -23,9 +22,25 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
-    turn = from_rotation_vector(motion[:, 3:]) @ sightings.rotation[sightings.station]
-    local = np.einsum("nji,nj->ni", turn, sightings.arm - motion[:, :3])
-    return reading_change(sightings, local)
+    return reading_change(sightings, _seen_from(sightings, motion).local)
+
+
+def _displaced(sightings: Sightings, displacement: Floats) -> Sightings:
+    """Sightings with the reflector of each pointing displaced by (n, 3) [m]."""
+    return replace(sightings, lift=displacement if sightings.lift is None else sightings.lift + displacement)
+
+
+def _seen_from(sightings: Sightings, motion: Floats) -> Sightings:
+    """Sightings with reflectors where they appear from stations that moved by (n, 6)."""
+    back = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
+    apparent = np.einsum("nij,nj->ni", back, sightings.arm - motion[:, :3])
+    return _displaced(sightings, apparent - sightings.arm)
+
+
+def _change_by_geometry(sightings: Sightings, apparent: Sightings) -> tuple[Floats, Floats]:
+    """Change of the derivatives by target (n, 3, 3) and station (n, 3, 6) where reflectors appear elsewhere."""
+    by_pose = pose_design(apparent.by_target, apparent.arm) - pose_design(sightings.by_target, sightings.arm)
+    return apparent.by_target - sightings.by_target, by_pose
 
 
 def station_design(sightings: Sightings) -> Floats:
@@ -54,6 +69,13 @@ class TargetMotion(Effect):
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
+    def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
+        displacement = self.displacement(sightings)
+        return by_displacement(_displaced(sightings, displacement @ values), displacement)
+
+    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats]:
+        return _change_by_geometry(sightings, _displaced(sightings, self.displacement(sightings) @ values))
+
 
 @dataclass(frozen=True)
 class StationMotion(Effect):
@@ -68,3 +90,10 @@ class StationMotion(Effect):
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_station_change(sightings, self.motion(sightings) @ values)
+
+    def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
+        motion = self.motion(sightings)
+        return station_design(_seen_from(sightings, motion @ values)) @ motion
+
+    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats]:
+        return _change_by_geometry(sightings, _seen_from(sightings, self.motion(sightings) @ values))

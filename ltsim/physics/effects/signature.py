@@ -133,6 +133,17 @@ class Signature(Protocol):
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
         return self.design(sightings) @ values
 
+    def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
+        """Derivative (n, 3, p) of `shift` by the parameters at values (p,) [SI]."""
+        return self.design(sightings)
+
+    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats] | None:
+        """Derivatives of `shift` by the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
+
+        None where they are neglected, as for all changes that are small beside the distance.
+        """
+        return None
+
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.
 
