@@ -10,8 +10,9 @@ import pytest
 
 import ltsim as lt
 from ltsim.core.arrays import Ints
+from ltsim.physics.effects.motions import exact_target_change
 from ltsim.recordings.recording import Recording
-from tests.networks import network
+from tests.networks import mesh, network
 
 Place = tuple[tuple[str, ...], tuple[str, ...]]
 """Stations and targets at which a cause acts."""
@@ -62,6 +63,35 @@ def exchanged_names(size: float) -> tuple[Recording, Place]:
     return recording.replace(target=target), (("S2",), ("T07", "T15"))
 
 
+def index_at_a_station(size: float) -> tuple[Recording, Place]:
+    """Elevations of one face of a recording, with another vertical index of 1 / 100 of the size [m] at a set-up."""
+    recording = workshop().select(workshop().face == 1)
+    readings = recording.readings.copy()
+    readings[recording.station == recording.stations.index("S3"), 2] += size / 100.0
+    return recording.with_readings(readings), (("S3",), ())
+
+
+def moved_target(size: float) -> tuple[Recording, Place]:
+    """A target that stood elsewhere when the last two stations measured it."""
+    recording = workshop()
+    sightings = lt.adjust(recording).adjusted.sightings
+    late = (recording.station >= 3) & (recording.target == recording.targets.index("T07"))
+    displacement = late[:, None] * np.array([0.6, 0.5, -0.62]) * size
+    changed = recording.readings + exact_target_change(sightings, displacement)
+    return recording.with_readings(changed), ((), ("T07",))
+
+
+def exchanged_reference_points(size: float) -> tuple[Recording, Place]:
+    """Four control points, two with each other's coordinates."""
+    recording, points = workshop(), 1e3 * mesh()
+    order = {"T01": "T13", "T05": "T05", "T13": "T01", "T22": "T22"}
+    targets = dict(recording.setup.targets)
+    for name, of in order.items():
+        place = tuple(points[recording.targets.index(of)].tolist())
+        targets[name] = targets[name].model_copy(update={"known_mm": place})
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), ((), ("T01", "T13"))
+
+
 def first_places(recording: Recording) -> dict[str, Place]:
     """Place of the first cause that each verb with coordinates accepts."""
     tests = {
@@ -74,24 +104,20 @@ def first_places(recording: Recording) -> dict[str, Place]:
 
 
 CAUSES = (one_distance, ball_at_a_target, ball_at_a_station, scale_at_a_station)
-OUT_OF_REACH = {(scale_at_a_station, 20.0)}
-"""Distances that are five times as long."""
-
-
-def marks(cause: Callable[[float], tuple[Recording, Place]], size: float) -> list[pytest.MarkDecorator]:
-    """Marks of a rung of the long run; those out of reach fail."""
-    missed = pytest.mark.xfail(strict=True, reason="no scale error of an instrument")
-    return [pytest.mark.long, *([missed] if (cause, size) in OUT_OF_REACH else [])]
-
 
 RUNGS = [
     pytest.param(one_distance, 5e-3, id="one_distance"),
     pytest.param(ball_at_a_station, 0.3, id="ball_at_a_station"),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
+    pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
     *(
-        pytest.param(cause, size, id=f"{cause.__name__}-{size:g}", marks=marks(cause, size))
-        for cause in CAUSES
-        for size in (2e-4, 5e-3, 0.3, 20.0)
+        pytest.param(cause, size, id=f"{cause.__name__}-{size:g}", marks=pytest.mark.long)
+        for cause, sizes in {
+            **dict.fromkeys(CAUSES, (2e-4, 5e-3, 0.3, 20.0)),
+            index_at_a_station: (0.1, 5.0),
+            moved_target: (1e-3, 0.05, 0.5),
+        }.items()
+        for size in sizes
     ),
 ]
 
