@@ -228,7 +228,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         One a station.
     """
     shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
-    wrong = np.isfinite(recording.readings[:, 2]) & (shown != recording.face)
+    wrong = recording.usable[:, 2] & (shown != recording.face)
     back = recording.face == 2
     if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (back, ~back)):
         return recording, []
