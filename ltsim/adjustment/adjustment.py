@@ -39,9 +39,6 @@ from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import single_threaded
 
-STEEP = 1e-4
-"""Cosine of an elevation below which a pointing is one to the zenith."""
-MOST_NAMED = 4
 MAX_TESTED_JOINTLY = 300
 """Readings that do not fit, above which they are not tested one after another: it is the noise."""
 
@@ -178,12 +175,8 @@ class Adjustment(Result):
         self.solution.require_success()
 
     def _no_solution(self) -> str:
-        """Pointings to the zenith, a scale without source, a station whose shared targets lie on a line; or empty."""
+        """A scale without source, or a station whose shared targets lie on a line; empty for none."""
         recording, problem = self.recording, self.problem
-        rows = np.flatnonzero(np.abs(np.cos(recording.readings[:, 2])) < STEEP)
-        if len(rows):
-            where = ", ".join(recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
-            return f"{where}: at the zenith an azimuth means nothing, leave it out"
         held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.mark_control)
         lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
         if held < 2 and not lengths:
@@ -255,10 +248,11 @@ class Adjustment(Result):
         held = self.problem.structure.held_poses.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
-    @property
+    @cached_property
     def rejected(self) -> Bools:
-        """Measured readings that were not used, (n, 3) bool."""
-        return self.recording.measured & ~self.problem.use
+        """Readings left out, (n, 3) bool, other than those to targets that all usable readings leave undetermined."""
+        whole = drop_undetermined(replace(self.problem, use=self.recording.usable), self.state)
+        return whole.use & ~self.problem.use
 
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
         """Readings whose residual is too large for chance over the whole recording, the surest first.

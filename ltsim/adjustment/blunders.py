@@ -5,7 +5,7 @@ people make; what a mistake explains can be mended, the rest is left out. Whole 
 face are seen before anything is adjusted: their cloud of points has not the shape that other stations saw.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -188,13 +188,13 @@ def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
     odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE)
     if len(recording.stations) == 2:
         return recording, _mirrored_pair(recording) if len(odd) else findings
-    for s in odd:
+    for s in odd.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.at(name):
             readings = recording.readings.copy()
             readings[rows] = effect.slip.corrected(readings[rows])
             corrected = recording.with_readings(readings)
-            if _misfit(corrected)[s] < WRONG_SHAPE:
+            if _misfit(corrected, [s])[s] < WRONG_SHAPE:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
                 sentence = f"Station {name} was recorded with {effect.slip.cause}."
@@ -228,7 +228,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         One a station.
     """
     shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
-    wrong = np.isfinite(recording.readings[:, 2]) & (shown != recording.face)
+    wrong = recording.usable[:, 2] & (shown != recording.face)
     back = recording.face == 2
     if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (back, ~back)):
         return recording, []
@@ -247,15 +247,18 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
     return recording.replace(face=np.where(wrong, shown, recording.face)), findings
 
 
-def _misfit(recording: Recording) -> Floats:
-    """Median over the other stations of the median misfit (S,) [m] of two clouds; 0 without common targets."""
+def _misfit(recording: Recording, stations: Collection[int] | None = None) -> Floats:
+    """Median over the other stations of the median misfit (S,) [m] of two clouds; 0 without common targets.
+
+    By default of all stations; of others than those of `stations` only the pairs with these count.
+    """
     pairs, count = Pairs.of(recording), len(recording.stations)
     cloud = np.full((count, len(recording.targets), 3), np.nan)
     cloud[pairs.station, pairs.target] = pairs.points
     has_target, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
     for a, b in combinations(range(count), 2):
         common = has_target[a] & has_target[b]
-        if common.sum() < 4:
+        if common.sum() < 4 or not (stations is None or a in stations or b in stations):
             continue
         here, there = cloud[b][common], cloud[a][common]
         try:

@@ -17,6 +17,8 @@ from ltsim.geometry.polar import from_polar, polar_jacobian, to_polar, wrap
 from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
 from ltsim.physics.model.measurement import reduce_to_horizontal
 
+LEAST_DAMPING = 1e-10
+"""Damping, relative to the diagonal of the normal equations, that keeps them regular where a direction is open."""
 ITERATIONS = 60
 SAME = 1e-3
 """Solutions closer than this [m, rad] are one."""
@@ -163,7 +165,7 @@ def _descend(evaluate: Evaluate, free: Bools, x: Floats, rotation: Floats) -> tu
         for _ in range(ITERATIONS):
             x, rotation, gap, by = here
             normal = np.nan_to_num(np.swapaxes(by, 1, 2) @ by, posinf=0.0)
-            weight = damping[:, None] * np.einsum("bii->bi", normal) + 1e-9
+            weight = np.maximum(damping, LEAST_DAMPING)[:, None] * np.einsum("bii->bi", normal) + 1e-9
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
             step[:, free] = np.linalg.solve(lifted, right[..., None])[..., 0]

@@ -67,7 +67,7 @@ class NetworkProblem(NetworkRows):
         """
         recording = model.recording
         marks = Marks.of(recording)
-        used = recording.measured if use is None else recording.measured & use
+        used = recording.usable if use is None else recording.usable & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
         mark_control, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
         differences = DifferenceRows.between(recording, marks)

@@ -3,6 +3,7 @@
 Rejected readings are tested again after each solution, and accepted where they fit.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,13 +12,18 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.stochastic_model import STILL, cauchy_weights
+from ltsim.adjustment.stochastic_model import (
+    STILL,
+    cauchy_size,
+    cauchy_weights,
+    huber_weights,
+)
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import holds_pose
 from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
 from ltsim.recordings.recording import Recording
 from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
@@ -36,6 +42,8 @@ SETTLED = 0.9
 RELAXATIONS = 8
 ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
+MISFITTING, MANY = 50.0, 0.02
+"""Residual, in robust standard deviations, that no noise explains, and the share of such readings that is many."""
 STEPS = 10
 """Iterations of a solution on the way; the last has as many as it needs."""
 UNPREDICTED = 100.0
@@ -167,7 +175,7 @@ def screen_gross_errors(recording: Recording) -> Screened:
     excess = _excess(model, state)
     for _ in range(PASSES if np.any(excess > 1.0) else 0):
         problem = drop_undetermined(NetworkProblem.of(model), state)
-        state, length = _step(problem, state, np.maximum(excess, 1.0)[:, None])
+        state, length = _step(problem, state, model.linearised(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _excess(model, state)
         if not length or not np.any((excess > 1.0) & (excess < SETTLED * before)):
             break
@@ -187,10 +195,10 @@ def _excess(model: MeasurementModel, state: State) -> Floats:
     return miss / limit
 
 
-def _step(problem: NetworkProblem, state: State, loose: Floats) -> tuple[State, float]:
+def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: Floats) -> tuple[State, float]:
     """The state after a step with standard deviations so many times as large, and its squared length; 0: singular."""
     try:
-        system = replace(problem, sigma=problem.sigma * loose).linearise(state)
+        system = replace(problem, sigma=problem.sigma * loose).system(state, prediction)
         step = BlockFactor(system).step()
     except SingularSystemError:
         return state, 0.0
@@ -208,19 +216,14 @@ def snoop_readings(
     Reweighting finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
     """
-    scale = np.inf
-    for _ in range(RELAXATIONS):
-        whitened = whitened_readings(problem, state)
-        scale = min(scale, max(median_deviation(whitened[problem.use]), 1e-3))
-        state, length = _step(problem, state, 1.0 / np.sqrt(cauchy_weights(np.nan_to_num(whitened) / scale)))
-        if length < STILL:
-            break
+    state = _relaxed(problem, state)
+    prediction = problem.model.linearised(state)
     try:
-        factor = BlockFactor(problem.linearise(state))
+        factor = BlockFactor(problem.system(state, prediction))
     except SingularSystemError:
         return problem, solve(problem, state)
     limit = critical_w(int(problem.use.sum()))
-    w, scale, _ = _tested(problem, problem, state, factor)
+    w, scale, _ = _tested(problem, problem, prediction.readings, factor)
     rejected: Bools = w > limit * scale
     tried: set[bytes] = set()
     placed, target = state.points, problem.model.recording.target
@@ -248,25 +251,66 @@ def snoop_readings(
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
 
 
+def _relaxed(problem: NetworkProblem, start: State) -> State:
+    """State with readings reweighted, by Cauchy's weights and, where many readings do not fit then, by Huber's.
+
+    Cauchy's keep a good start although many readings of one place contradict it; Huber's forgive a bad one.
+    """
+    state, whitened = _reweighted(problem, start, cauchy_weights)
+    scale = max(median_deviation(whitened), 1e-3)
+    if np.mean(whitened > MISFITTING * scale) < MANY:
+        return state
+    other, others = _reweighted(problem, start, huber_weights)
+    scale = min(scale, max(median_deviation(others), 1e-3))
+    return state if cauchy_size(whitened / scale) <= cauchy_size(others / scale) else other
+
+
+def _reweighted(problem: NetworkProblem, state: State, weights: Callable[[Floats], Floats]) -> tuple[State, Floats]:
+    """State with reweighted readings, and the whitened residuals (m,) of those in use, without sign."""
+    scale = np.inf
+    for _ in range(RELAXATIONS):
+        prediction = problem.model.linearised(state)
+        whitened = _whitened(problem, prediction.readings)
+        scale = min(scale, max(median_deviation(whitened[problem.use]), 1e-3))
+        state, length = _step(problem, state, prediction, 1.0 / np.sqrt(weights(whitened / scale)))
+        if length < STILL:
+            break
+    return state, whitened_readings(problem, state)[problem.use]
+
+
 def whitened_readings(problem: NetworkProblem, state: State) -> Floats:
     """Residuals (n, 3) in standard deviations of the readings, without sign; 0 where not measured."""
-    return np.nan_to_num(np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma))
+    return _whitened(problem, problem.model.predict(state))
 
 
-def prediction_spread(problem: NetworkProblem, solution: Solution[State], omitted: Bools) -> Floats:
-    """Standard deviations (k,), over the declared, of the misses of `omitted` (n, 3) readings by their predictions."""
+def _whitened(problem: NetworkProblem, readings: Floats) -> Floats:
+    """The same for predicted readings (n, 3)."""
+    return np.nan_to_num(np.abs(problem.residuals(readings) / problem.sigma))
+
+
+def prediction_spread(
+    problem: NetworkProblem, solution: Solution[State], omitted: Bools, prediction: Prediction | None = None
+) -> Floats:
+    """Standard deviations (k,), over the declared, of the misses of `omitted` (n, 3) readings by their predictions.
+
+    The `prediction` is that of the solution's state, computed here by default.
+    """
     assert solution.factor is not None
-    rows = as_dense(problem.linearise(solution.x).design[np.flatnonzero(omitted[problem.use])])
+    system = problem.system(solution.x, prediction or problem.model.linearised(solution.x))
+    rows = as_dense(system.design[np.flatnonzero(omitted[problem.use])])
     response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0)))
 
 
 def _tested(
-    problem: NetworkProblem, reduced: NetworkProblem, state: State, factor: BlockFactor
+    problem: NetworkProblem, reduced: NetworkProblem, readings: Floats, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
-    """|w| (n, 3) of the readings of `reduced`, the scale of its noise, and the redundancy (n, 3)."""
+    """|w| (n, 3) of the readings of `reduced`, the scale of its noise, and the redundancy (n, 3).
+
+    The factor is that of the state by which the `readings` (n, 3) are predicted.
+    """
     redundancy = redundancy_of(reduced, factor)
-    w = normalised(reduced, problem.residuals(problem.model.predict(state)), redundancy)
+    w = normalised(reduced, problem.residuals(readings), redundancy)
     return np.nan_to_num(np.abs(w)), scale_of(w, redundancy), redundancy
 
 
@@ -275,15 +319,17 @@ def _retested(
 ) -> Bools:
     """Rejected readings (n, 3) anew: those left out that still do not fit, and kept ones that now do not."""
     assert solution.factor is not None
-    w, scale, redundancy = _tested(problem, reduced, solution.x, solution.factor)
+    out, targets = rejected & problem.use, problem.model.recording.target
+    prediction = problem.model.linearised(solution.x) if out.any() else None
+    readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
+    w, scale, redundancy = _tested(problem, reduced, readings, solution.factor)
     new: Bools = (w > limit * scale) & (redundancy > UNCHECKED)
     if new.any():
         new &= w > 0.5 * w.max()
-    out, targets = rejected & problem.use, problem.model.recording.target
-    if out.any():
-        spread = prediction_spread(problem, solution, out)
+    if prediction is not None:
+        spread = prediction_spread(problem, solution, out, prediction)
         still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.unseen), dtype=bool)
-        still[out] = whitened_readings(problem, solution.x)[out] / spread > limit * scale
+        still[out] = _whitened(problem, readings)[out] / spread > limit * scale
         alone[targets[np.argwhere(out)[spread > UNPREDICTED, 0]]] = True
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= still | (rejected & reduced.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])

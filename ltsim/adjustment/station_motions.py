@@ -78,7 +78,7 @@ def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
     if not (adjustment.solution.converged and blamed):
         return ()
     placed = ~problem.structure.unseen[recording.target]
-    problem = replace(problem, use=recording.measured & placed[:, None])
+    problem = replace(problem, use=recording.usable & placed[:, None])
     each = critical_w(int(problem.use.sum())) ** 2
     accepted, ended = snoop_readings(problem, adjustment.state)
     for station in _suspects(problem, accepted):

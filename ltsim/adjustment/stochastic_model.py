@@ -39,7 +39,7 @@ def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
     ends = [_reweighted(problem, state, weights) for weights in (huber_weights, cauchy_weights)]
     scale = min(_scale(problem, residual) for _, residual in ends)
     count = observations(problem)
-    sizes = [float(np.sum(np.log1p((residual[:count] / (CAUCHY * scale)) ** 2))) for _, residual in ends]
+    sizes = [cauchy_size(residual[:count] / scale) for _, residual in ends]
     return ends[int(np.argmin(sizes))]
 
 
@@ -51,6 +51,11 @@ def huber_weights(size: Floats) -> Floats:
 def cauchy_weights(size: Floats) -> Floats:
     """Weights of residuals of some sizes, in robust standard deviations (Cauchy's; Holland and Welsch 1977)."""
     return 1.0 / (1.0 + (size / CAUCHY) ** 2)
+
+
+def cauchy_size(size: Floats) -> float:
+    """Objective that Cauchy's weights make small, of residuals in robust standard deviations."""
+    return float(np.sum(np.log1p((size / CAUCHY) ** 2)))
 
 
 def _scale(problem: NetworkProblem, residual: Floats) -> float:

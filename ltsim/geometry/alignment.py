@@ -1,10 +1,11 @@
 """Closed-form rigid alignment of two point sets."""
 
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
 
-from ltsim.core.arrays import Floats, median
+from ltsim.core.arrays import Bools, Floats, median
 from ltsim.core.errors import NetworkError
 
 ROBUST_PASSES = 8
@@ -29,7 +30,7 @@ def best_fit(
 
     Parameters
     ----------
-    source : (n, 3) float, [m]
+    source : (..., n, 3) float, [m]
         n >= 3, not on one line.
     goal : (..., n, 3) float, [m]
         The corresponding points.
@@ -48,23 +49,32 @@ def best_fit(
     Kabsch, Acta Cryst. A32 (1976) 922; Umeyama, IEEE Trans. PAMI 13 (1991) 376. Proper rotation enforced by the sign of
     the determinant.
     """
-    weight = np.ones(len(source)) if weights is None else weights
+    weight = np.ones(source.shape[-2]) if weights is None else weights
     if np.count_nonzero(weight) < 3:
         raise NetworkError("an alignment needs at least three common points")
+    rotation, shift, scale, is_held = _fits(source, goal, weight, scaled=scaled)
+    if not is_held.all():
+        raise NetworkError("an alignment needs three common points that are not on one line")
+    return rotation, shift, scale
+
+
+def _fits(
+    source: Floats, goal: Floats, weight: Floats, *, scaled: bool = False
+) -> tuple[Floats, Floats, Floats, Bools]:
+    """Rotation, shift and scale as of `best_fit`, and False (...) where points on a line leave the rotation open."""
     weight = weight / weight.sum()
     centre, middle = weight @ source, weight @ goal
-    arms = source - centre
+    arms = source - centre[..., None, :]
     moment = np.swapaxes(weight[:, None] * (goal - middle[..., None, :]), -1, -2) @ arms
     u, spread, vt = np.linalg.svd(moment)
-    if np.any(spread[..., 1] <= 1e-9 * spread[..., 0]):
-        raise NetworkError("an alignment needs three common points that are not on one line")
     flip = np.ones_like(spread)
     flip[..., 2] = np.sign(np.linalg.det(u @ vt))
     rotation = (u * flip[..., None, :]) @ vt
     scale = np.ones(moment.shape[:-2])
     if scaled:
-        scale = np.sum(spread * flip, axis=-1) / np.sum(weight[:, None] * arms**2)
-    return rotation, middle - scale[..., None] * (rotation @ centre), scale
+        scale = np.sum(spread * flip, axis=-1) / np.sum(weight[:, None] * arms**2, axis=(-2, -1))
+    shift = middle - scale[..., None] * np.einsum("...ij,...j->...i", rotation, centre)
+    return rotation, shift, scale, np.asarray(spread[..., 1] > 1e-9 * spread[..., 0])
 
 
 def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
@@ -79,15 +89,13 @@ def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     if len(source) < 4:
         return best
     miss = _misses(source, goal, best)
-    least = _log_size(miss)
-    for triple in _triples(len(source)) if miss.mean() > SOUND else ():
-        try:
-            tried = align(source[triple], goal[triple])
-        except NetworkError:  # on one line
-            continue
-        size = _log_size(_misses(source, goal, tried))
-        if size < least:
-            best, least = tried, size
+    if miss.mean() > SOUND:
+        triples = _triples(len(source))
+        rotation, shift, _, is_held = _fits(source[triples], goal[triples], np.ones(3))
+        sizes = _log_size(_misses(source, goal, (rotation, shift)))
+        sizes[~is_held] = np.inf
+        k = int(np.argmin(sizes))
+        best = (rotation[k], shift[k]) if sizes[k] < _log_size(miss) else best
     for _ in range(ROBUST_PASSES):
         miss = _misses(source, goal, best)
         floor = max(1e-5, 0.5 * median(miss))
@@ -103,15 +111,18 @@ def largest_miss(source: Floats, goal: Floats) -> float:
 
 
 def _misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (n,) [m] of moved points from their goals."""
-    return np.asarray(np.linalg.norm(source @ motion[0].T + motion[1] - goal, axis=1))
+    """Distances (..., n) [m] of points from their goals after motions (..., 3, 3), (..., 3)."""
+    rotation, shift = motion
+    moved = source @ np.swapaxes(rotation, -1, -2) + shift[..., None, :]
+    return np.asarray(np.linalg.norm(moved - goal, axis=-1))
 
 
-def _log_size(miss: Floats) -> float:
-    """Sum of the logarithms of misses (n,) [m], each at least `SOUND`: it prefers a few large ones to many small."""
-    return float(np.log(np.maximum(miss, SOUND)).sum())
+def _log_size(miss: Floats) -> Floats:
+    """Sum (...) of the logarithms of misses (..., n) [m], each at least `SOUND`: a few large ones before many small."""
+    return np.asarray(np.log(np.maximum(miss, SOUND)).sum(axis=-1))
 
 
+@lru_cache(maxsize=256)
 def _triples(count: int) -> list[list[int]]:
     """Triples of points: every one of a few points, a spread of them (the same each time) of many."""
     every = list(combinations(range(count), 3)) if count <= ALL_TRIPLES else []

@@ -16,6 +16,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
@@ -280,6 +281,18 @@ def pace(recording: Recording) -> tuple[str, ...]:
     return (
         f"the {len(recording)} pointings take {span:.4g} s, {step:.3g} s from one target to the next: check the unit "
         "of the time column and give it with --columns, such as time=HEADER[h]; drifts in time depend on it",
+    )
+
+
+def vertical_pointings(recording: Recording) -> tuple[str, ...]:
+    """Note on pointings along the vertical axis, of which a network uses the distances alone."""
+    rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
+    if not len(rows):
+        return ()
+    where = listing([recording.where(int(row) + 1) for row in rows], MOST_NOTES)
+    return (
+        f"{where}: along the vertical axis of the tracker an azimuth holds no direction, and the angles are not used; "
+        "to locate this target from there, tilt or move the tracker",
     )
 
 

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name
 from ltsim.recordings import coordinates, native
-from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace
+from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace, vertical_pointings
 from ltsim.recordings.files import decoded, universal
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.recording import Recording
@@ -105,7 +105,8 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         recording = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    return recording.replace(notes=(*recording.notes, *contradictions(recording), *pace(recording)))
+    notes = *recording.notes, *contradictions(recording), *pace(recording), *vertical_pointings(recording)
+    return recording.replace(notes=notes)
 
 
 def is_recording(path: Path) -> bool:

@@ -37,6 +37,10 @@ REFLECTOR_COLUMN = "reflector"
 """Label: name of the SMR of each pointing; an empty cell leaves the target's."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 LEAST_COSINE = 1e-6
+STEEP = 1e-4
+"""Cosine of the elevation below which a network uses no angle of a pointing (21 arcsec from the vertical axis).
+
+There 1 arcsec across the beam is 2.8 deg of azimuth, and the elevation has a kink: no linearisation holds."""
 OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
 """Labels: at which occupation of a mark the instrument, and the reflector, of each pointing stood."""
 
@@ -137,6 +141,16 @@ class Recording(Result):
     def measured(self) -> Bools:
         """(n, 3) bool: which readings exist."""
         return np.isfinite(self.readings)
+
+    @property
+    def usable(self) -> Bools:
+        """(n, 3) bool: readings that a network uses, those measured less the angles of `vertical` pointings."""
+        return self.measured & ~(self.vertical[:, None] & [False, True, True])
+
+    @property
+    def vertical(self) -> Bools:
+        """(n,) bool: pointings along the vertical axis of the tracker, to the zenith or the nadir."""
+        return np.asarray(np.abs(np.cos(self.readings[:, 2])) < STEEP)
 
     @cached_property
     def instruments(self) -> tuple[str, ...]:

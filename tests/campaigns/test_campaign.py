@@ -25,6 +25,7 @@ from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import LEVELS
 from ltsim.campaigns.store import Store, table_of
 from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.randomness import stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from tests.campaigns.small import FILE
 
@@ -119,6 +120,50 @@ def test_killed_at_any_moment_loses_nothing_finished(
     run_campaign(file, out, resume=True)
     assert contents(out) == reference
     assert not list(out.rglob("*.tmp"))
+
+
+KILLS, LATEST = 10, 0.2
+"""Resumed runs that are killed, and the latest moment [s] after a shard, which takes about as long."""
+RESUMED = """import sys
+from pathlib import Path
+from ltsim.campaigns.campaign import Workers, run_campaign
+
+if __name__ == "__main__":
+    print("begun", flush=True)
+    options = {"workers": Workers(jobs=int(sys.argv[3])), "progress": lambda trials: print(trials, flush=True)}
+    run_campaign(Path(sys.argv[1]), Path(sys.argv[2]), resume=True, **options)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_same_rows(
+    jobs: int, file: Path, tmp_path: Path, root: Path
+) -> None:
+    file.write_text(FILE.replace("shard = 256", "shard = 32"))
+    whole, out, script = tmp_path / "whole", tmp_path / "out", tmp_path / "resumed.py"
+    assert run_campaign(file, whole).shards == 38
+    script.write_text(RESUMED)
+    killed, present = 0, set[str]()
+    for number, moment in enumerate(stream(7, "moments").uniform(0.0, LATEST, KILLS)):
+        command = [sys.executable, str(script), str(file), str(out), str(jobs)]
+        with subprocess.Popen(command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, stdout=-1) as worker:
+            assert worker.stdout is not None
+            for _ in range(1 + number % 4):  # as it begins, then after up to three shards
+                worker.stdout.readline()
+            time.sleep(float(moment))
+            worker.kill()
+        killed += worker.returncode == -signal.SIGKILL
+        finished = contents(out)
+        assert present <= {*finished}
+        assert {name: (whole / name).read_bytes() for name in finished} == finished
+        present = {*finished}
+    assert killed and present
+    run_campaign(file, out, resume=True)
+    assert contents(out) == contents(whole)
+    digests = [sorted((folder / "rows.sha256").read_text().splitlines()) for folder in (whole, out)]
+    assert digests[0] == digests[1]
+    assert not [path for path in out.rglob("*") if path.suffix == ".damaged" or path.name.startswith(".ltsim-")]
 
 
 def test_finished_campaign_is_not_begun_again_by_mistake(file: Path, tmp_path: Path) -> None:

@@ -1,17 +1,22 @@
 """Verbs on files with slips of a hand or a disk: a sample of every file that a verb reads, and the verb that reads it.
 
-Slip number i of a seed is the same in every process, whichever slips were tried before it.
+Slip number i of a seed is the same in every process, whichever slips were tried before it. As a program,
+`python -m tests.cli.slips SEED FIRST COUNT [STRIDE]` prints the faults of a block as a line of JSON, or with a stride
+of every such block from the first on.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import shutil
 import signal
 import sys
 import tempfile
+import time
+import traceback
 import warnings
 from functools import cache
 from pathlib import Path
@@ -372,11 +377,20 @@ def _exported(body: trimesh.Trimesh, kind: str) -> bytes:
 def faults(seed: int, first: int, count: int) -> list[str]:
     """Faults among some slips: another end than an answer, a sentence or an interruption of long work, or much memory.
 
-    The first of each case has no slip, and has to be answered.
+    The first of each case has no slip, and has to be answered. A failure of the test itself is a fault of its slip.
     """
     warnings.simplefilter("ignore")
     signal.signal(signal.SIGVTALRM, interrupt)
-    return [fault for i in range(first, first + count) if (fault := _fault(seed, i))]
+    return [fault for i in range(first, first + count) if (fault := _reported(seed, i))]
+
+
+def _reported(seed: int, number: int) -> str:
+    """Fault of one slip, with the traceback where the slip could not be tried; empty for none."""
+    try:
+        return _fault(seed, number)
+    except Exception:
+        name, words = CASES[number % len(CASES)]
+        return f"slip {number} of seed {seed} in {name}, {' '.join(words)}, was not tried: {traceback.format_exc()}"
 
 
 def _fault(seed: int, number: int) -> str:
@@ -456,3 +470,17 @@ def _restarted_peak() -> int:
     with contextlib.suppress(OSError):
         PEAK.write_text("5")
     return _memory("VmHWM")
+
+
+def main(seed: int, first: int, count: int, stride: int = 0, end: int = 20_000) -> None:
+    """Print the faults of a block of slips, or of every block `stride` slips further up to `end`, as lines of JSON."""
+    for block in range(first, end, stride) if stride else (first,):
+        start, begun = time.monotonic(), time.process_time()
+        found = faults(seed, block, count)
+        seconds = {"seconds": round(time.monotonic() - start, 1), "processor": round(time.process_time() - begun, 1)}
+        line = {"seed": seed, "first": block, "count": count, **seconds, "faults": found}
+        print(json.dumps(line), file=sys.__stdout__, flush=True)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

@@ -49,7 +49,7 @@ class TwoFace:
 
 def face_pairs(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
-    whole = np.all(recording.measured, axis=1)
+    whole = np.all(recording.usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
     for row, key in enumerate(keys):

@@ -88,7 +88,7 @@ class StationOccupation:
     ) -> StationOccupation:
         """Occupation of a recording's station; `use` (n,) excludes pointings, `sigma` (n, 3) overrides the noise."""
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
-        weight = recording.measured & chosen[:, None]
+        weight = recording.usable & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
         sightings = replace(sightings_of(recording, _state(recording, chosen)), lift=None)
         prior = prior_sigmas(recording, construction)[0]
@@ -115,7 +115,7 @@ class StationOccupation:
     @property
     def weight(self) -> Floats:
         """Inverse standard deviations (n, 3) of the readings in use, 0 elsewhere."""
-        return np.where(self.recording.measured & self.use[:, None], 1.0 / self.sigma, 0.0)
+        return np.where(self.recording.usable & self.use[:, None], 1.0 / self.sigma, 0.0)
 
     def projected(self, columns: Floats) -> Floats:
         """Whitened columns (n, 3, c) without what targets and instrument would take of them."""

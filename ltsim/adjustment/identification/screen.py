@@ -18,9 +18,10 @@ from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
+from ltsim.adjustment.identification.local_shifts import LocalShift, fitted_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
-from ltsim.core.arrays import Bools, Floats, Ints, median
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import to_face
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
@@ -35,8 +36,6 @@ MANY, HALF, PLACES = 6, 0.4, 5
 """Outliers, and the share of gross ones among a place's pointings, from which its distances are put aside; places."""
 SEVERAL = 2
 """Reference lengths from which they share a scale."""
-STEPS = 6
-"""Reweightings of a shift that is estimated from the residuals of its own rows."""
 
 
 def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
@@ -167,18 +166,19 @@ def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
         for c in every
     }
     gross = np.asarray(fit.outliers.any(axis=1))
+    trials = list[tuple[int, float, LocalShift]]()
     for i, c in enumerate(every):
-        rank = c.family.design.shape[2]
         for sign, rows in ((1.0, c.rows), (-1.0, c.before)):
             out = int(gross[rows].sum())
-            if 4 * out < len(rows) or 3 * out < rank or not out:
+            if 4 * out < len(rows) or 3 * out < c.family.design.shape[2] or not out:
                 continue
-            g, r = weighted[id(c.family)][rows].reshape(-1, rank), fit.whitened[rows].ravel()
-            acts = g.any(axis=1)
-            saved, guess = _saved(g[acts], r[acts], fit.outliers[rows].ravel()[acts], price)
-            gain = saved + float(occam(10.0, rank)) + c.log_prior
-            if gain > gains[i]:
-                gains[i], guesses[i] = gain, sign * guess
+            shift = LocalShift.of(weighted[id(c.family)][rows], fit.whitened[rows], fit.outliers[rows])
+            trials += [(i, sign, shift)] if shift.is_fitted else []
+    fits = fitted_shifts([shift for *_, shift in trials], price)
+    for (i, sign, _), (saved, guess) in zip(trials, fits, strict=True):
+        gain = saved + float(occam(10.0, len(guess))) + every[i].log_prior
+        if gain > gains[i]:
+            gains[i], guesses[i] = gain, sign * guess
     return gains, guesses
 
 
@@ -215,6 +215,7 @@ def _place(fit: Fit, rows: Ints) -> Floats | None:
     """Place (3,) [m] of a target by some pointings to it, the stations as they are; None where it is not clear."""
     recording, state = fit.recording, fit.state
     lift = lift_of(recording)
+    rows = rows[fit.whole.use[rows].any(axis=1)]
     sight = Sight(
         np.where(fit.whole.use[rows], to_face(recording.readings[rows], recording.face[rows]), np.nan),
         recording.is_horizontal[rows],
@@ -222,32 +223,6 @@ def _place(fit: Fit, rows: Ints) -> Floats | None:
     )
     station = recording.station[rows]
     return fit_point(sight, state.position[station], state.rotation[station])
-
-
-def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Floats]:
-    """Fall of the negative log likelihood in which no reading costs more than an outlier's price, and the shift."""
-    before = np.minimum(0.5 * r**2, price).sum()
-    size = np.linalg.norm(g, axis=0)
-    shift = np.zeros(g.shape[1])
-    unit = g[:, size > 0] / size[size > 0]
-    if not unit.shape[1] or not out.any():
-        return -np.inf, shift
-    if unit.shape[1] == 1:
-        ratio = r[out] / np.where(unit[out, 0] != 0.0, unit[out, 0], 1.0)
-        a = np.array([median(ratio)])
-    else:
-        a = np.linalg.lstsq(unit[out], r[out], rcond=1e-10)[0]
-        for _ in range(STEPS):
-            e = np.abs(r - unit @ a)
-            w = 1.0 / np.sqrt(np.maximum(e / max(1.5 * median(e), 1.0), 1.0))
-            a = np.linalg.lstsq(unit * w[:, None], r * w, rcond=1e-10)[0]
-    for _ in range(2):
-        fits = 0.5 * (r - unit @ a) ** 2 < price
-        if fits.sum() <= unit.shape[1]:
-            break
-        a = np.linalg.lstsq(unit[fits], r[fits], rcond=1e-10)[0]
-    shift[size > 0] = a / size[size > 0]
-    return float(before - np.minimum(0.5 * (r - unit @ a) ** 2, price).sum()), shift
 
 
 def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.evaluation.two_face import face_pairs
 from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.fieldcheck.check import LEVEL
 from ltsim.adjustment.fieldcheck.network import RARE
@@ -15,7 +18,7 @@ from ltsim.adjustment.quality import warnings_of
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import stream
-from ltsim.geometry.polar import to_polar
+from ltsim.geometry.polar import to_face, to_polar
 from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop
 from tests.families import family
@@ -132,14 +135,87 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     assert ("as noise brings it in one network of" in item.sentence) == (item.passed and adjusted.p_value < RARE / 2)
 
 
-@pytest.mark.parametrize("verb", family([lt.adjust, lambda r: calibrate_network(r, advise=False), lt.diagnose]))
-def test_a_pointing_to_the_zenith_is_named_by_all_verbs(verb: Callable[[Recording], object]) -> None:
+def along_axes(recording: Recording, points: Points, away: float, stations: tuple[int, ...]) -> Recording:
+    """The recording with a target on the vertical axis of each of some stations, `away` [m] above or below its head."""
+    _, state = workshop()
+    moved = points.copy()
+    for target, station in enumerate(stations, start=3):
+        moved[target] = state.position[station] + state.rotation[station] @ [0.0, 0.0, away]
+    return seen(recording, moved, 0)
+
+
+def exactly_vertical(recording: Recording) -> Recording:
+    """The recording with pi/2 in place of the elevation of each pointing along the vertical axis."""
+    readings = recording.readings.copy()
+    readings[recording.vertical, 2] = 0.5 * np.pi
+    return recording.with_readings(readings)
+
+
+def without_angles(recording: Recording) -> Recording:
+    """The recording without the angles of its pointings along the vertical axis."""
+    return recording.with_readings(np.where(recording.usable, recording.readings, np.nan))
+
+
+AXES = {
+    "zenith": lambda r, p: along_axes(r, p, 2.0, (1,)),
+    "nadir": lambda r, p: along_axes(r, p, -1.5, (1,)),
+    "three stations": lambda r, p: along_axes(r, p, 2.0, (1, 2, 3)),
+    "pi/2": lambda r, p: exactly_vertical(along_axes(r, p, 2.0, (1,))),
+    "three set-ups": lambda r, p: along_axes(r, p, 2.0, (1,)).select(r.station < 3),
+}
+"""Recordings with pointings along the vertical axis of the tracker."""
+
+
+def network(adjustment: Adjustment) -> str:
+    """Fit and targets of an adjusted network; criteria compare points of pointings, those along the axis included."""
+    points = np.round(1e6 * adjustment.state.points, 1).tolist()
+    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.rejected.sum()} {points}"
+
+
+VERBS = {
+    "adjust": lambda r: network(lt.adjust(r).adjustment),
+    "check": lambda r: str(check(r)),
+    "calibrate": lambda r: network(calibrate_network(r, advise=False).adjustment),
+    "diagnose": lambda r: str(lt.diagnose(r)),
+}
+"""Results by verb."""
+
+
+@pytest.mark.parametrize("way", family(AXES, 3))
+@pytest.mark.parametrize("verb", family(VERBS, 2))
+def test_the_angles_along_the_vertical_axis_are_used_by_no_verb(verb: str, way: str) -> None:
     recording, state = workshop()
-    above = state.points.copy()
-    above[3] = state.position[1] + state.rotation[1] @ [0.0, 0.0, 2.0]
-    broken = seen(recording, above, 0)
-    assert "row 32: at the zenith an azimuth means nothing, leave it out" in words(verb, broken)
-    assert any("row 32: at the zenith" in item.sentence for item in check(broken).items)
+    vertical = AXES[way](recording, state.points)
+    assert vertical.vertical.any()
+    assert VERBS[verb](vertical) == VERBS[verb](without_angles(vertical))
+
+
+def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_up() -> None:
+    recording, state = workshop()
+    once = along_axes(recording, state.points, 2.0, (1,)).select(recording.station == 1)
+    twice = once.select(np.tile(np.arange(len(once)), 2))
+    face, count = np.repeat([1, 2], len(once)), len(twice)
+    noise = stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.usable, twice.sigma(), 1e-6)
+    readings = to_face(twice.readings, face) + noise
+    twice = twice.replace(readings=readings, face=face, time=np.arange(count) * 1.0, has_clock=False)
+    turned = np.where(twice.vertical[:, None] & [False, True, False], 1.0 + face[:, None], readings)
+    assert twice.vertical.sum() == 2 and check(twice).passed
+    assert str(check(twice.with_readings(turned))) == str(check(twice))
+    assert len(face_pairs(twice)) == len(once) - 1
+
+
+def test_a_target_that_only_a_vertical_pointing_reaches_is_undetermined_and_the_note_names_the_row(
+    tmp_path: Path,
+) -> None:
+    recording, state = workshop()
+    once = AXES["zenith"](recording, state.points)
+    once = once.select((once.target != 3) | (once.station == 1))
+    lt.write(once, tmp_path / "once")
+    back = lt.read(tmp_path / "once")
+    assert isinstance(back, Recording)
+    assert any("row 31: along the vertical axis of the tracker" in note for note in back.notes)
+    assert lt.adjust(back).adjustment.undetermined_targets == (once.targets[3],)
+    assert lt.check(back).passed
 
 
 @pytest.mark.parametrize("seed", family(range(6), 2))
