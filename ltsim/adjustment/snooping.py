@@ -14,7 +14,8 @@ from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redu
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import (
     STILL,
-    cauchy_size,
+    are_many_far,
+    better_end,
     cauchy_weights,
     huber_weights,
 )
@@ -42,8 +43,8 @@ SETTLED = 0.9
 RELAXATIONS = 8
 ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
-MISFITTING, MANY = 50.0, 0.02
-"""Residual, in robust standard deviations, that no noise explains, and the share of such readings that is many."""
+HALF = 0.5
+"""Share of the readings of a set-up above which they are rejected together where the rest does not hold its pose."""
 STEPS = 10
 """Iterations of a solution on the way; the last has as many as it needs."""
 UNPREDICTED = 100.0
@@ -234,6 +235,10 @@ def snoop_readings(
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
                 return reduced, solution
+            whole = rejected | (_mostly(rejected, problem)[problem.model.recording.station][:, None] & problem.use)
+            if not np.array_equal(whole, rejected):  # a set-up of which little is left holds its pose by nothing
+                rejected = whole
+                continue
             size = np.where(rejected, whitened_readings(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
@@ -251,18 +256,21 @@ def snoop_readings(
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
 
 
-def _relaxed(problem: NetworkProblem, start: State) -> State:
-    """State with readings reweighted, by Cauchy's weights and, where many readings do not fit then, by Huber's.
+def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
+    """Set-ups (S,) of which more readings are rejected (n, 3) than used."""
+    recording = problem.model.recording
+    out, used = (
+        np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
+    )
+    return np.asarray(out > HALF * used)
 
-    Cauchy's keep a good start although many readings of one place contradict it; Huber's forgive a bad one.
-    """
-    state, whitened = _reweighted(problem, start, cauchy_weights)
-    scale = max(median_deviation(whitened), 1e-3)
-    if np.mean(whitened > MISFITTING * scale) < MANY:
-        return state
-    other, others = _reweighted(problem, start, huber_weights)
-    scale = min(scale, max(median_deviation(others), 1e-3))
-    return state if cauchy_size(whitened / scale) <= cauchy_size(others / scale) else other
+
+def _relaxed(problem: NetworkProblem, start: State) -> State:
+    """State with readings reweighted, by Huber's weights or, where many readings are far then, by Cauchy's."""
+    ends = [_reweighted(problem, start, huber_weights)]
+    if are_many_far(ends[0][1]):
+        ends.append(_reweighted(problem, start, cauchy_weights))
+    return ends[better_end([whitened for _, whitened in ends])][0]
 
 
 def _reweighted(problem: NetworkProblem, state: State, weights: Callable[[Floats], Floats]) -> tuple[State, Floats]:
@@ -319,7 +327,8 @@ def _retested(
 ) -> Bools:
     """Rejected readings (n, 3) anew: those left out that still do not fit, and kept ones that now do not."""
     assert solution.factor is not None
-    out, targets = rejected & problem.use, problem.model.recording.target
+    out = rejected & problem.use
+    targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearised(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
     w, scale, redundancy = _tested(problem, reduced, readings, solution.factor)
@@ -329,8 +338,13 @@ def _retested(
     if prediction is not None:
         spread = prediction_spread(problem, solution, out, prediction)
         still, alone = np.zeros_like(rejected), np.zeros(len(reduced.structure.unseen), dtype=bool)
+        lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
         still[out] = _whitened(problem, readings)[out] / spread > limit * scale
-        alone[targets[np.argwhere(out)[spread > UNPREDICTED, 0]]] = True
+        unpredicted = np.argwhere(out)[spread > UNPREDICTED, 0]
+        is_open = _mostly(out, problem)[stations[unpredicted]]  # what is left of such a set-up holds no pose
+        alone[targets[unpredicted[~is_open]]] = True
+        lost[stations[unpredicted[is_open]]] = True
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= still | (rejected & reduced.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])
+        new |= problem.use & lost[stations][:, None]
     return new
