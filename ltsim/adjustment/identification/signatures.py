@@ -13,7 +13,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
-    """Offset, or scale error, of the readings of one observable.
+    """Offset, or scale error, of the readings of one observable; of elevations the vertical index, alike on both faces.
 
     Attributes
     ----------
@@ -58,6 +58,7 @@ class ReadingShift(Signature):
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.mask(sightings) * (sightings.time >= self.since)
         size = acts * sightings.range_ if self.proportional else acts
+        size = size * sightings.face_sign if self.observable == "elevation" else size
         return on_readings(sightings, **{self.observable: -size[:, None]})
 
     def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats] | None:
