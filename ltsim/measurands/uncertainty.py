@@ -9,7 +9,7 @@ from scipy import special
 
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import expanded
-from ltsim.core.results import Column, Result, Table, numbers, texts
+from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.measurands.spec import Decision, Tolerance
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
@@ -155,7 +155,7 @@ class TaskResult(Entry):
         ]
 
 
-class Uncertainty(ResultFile, Result):
+class Uncertainty(ResultFile):
     """`uncertainty.json`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
@@ -179,8 +179,6 @@ class Uncertainty(ResultFile, Result):
     """Correlation of the results, in their order."""
     warnings: tuple[str, ...] = ()
     """Warnings to heed before the numbers are used."""
-
-    __repr__ = __str__ = Result.__repr__
 
     def _lines(self) -> list[str]:
         lines = [r.words for r in self.results[:MOST_REPORTED]]

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ltsim.adjustment.remedies.next_measurement import Proposal, RankedProposals
 from ltsim.adjustment.remedies.remedy import listed
-from ltsim.core.results import Result, Table, columns_of
+from ltsim.core.results import Table, columns_of
 from ltsim.physics.effects import title_of
 from ltsim.planning.plan_change import in_degrees, in_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
@@ -70,7 +70,7 @@ NEXT = Table(
 )
 
 
-class NextMeasurement(ResultFile, Result):
+class NextMeasurement(ResultFile):
     """`next.json`: the result of `next_measurement`, written by `plan --after`."""
 
     FILE: ClassVar[str] = "next.json"
@@ -86,8 +86,6 @@ class NextMeasurement(ResultFile, Result):
     """First action to take, as a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
     """Proposals of further measurements, the best first."""
-
-    __repr__ = __str__ = Result.__repr__
 
     @classmethod
     def of(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:

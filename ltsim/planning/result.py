@@ -8,7 +8,7 @@ from pydantic import PrivateAttr
 
 from ltsim.adjustment.remedies.detectability import detectability
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Result, Table
+from ltsim.core.results import Table
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning import tables
 from ltsim.planning.layout_scenario import PLAN, SCENARIO, planned_scenario, with_cad_copied
@@ -29,7 +29,7 @@ FRAME = (
 """Coordinate system of all coordinates, in words."""
 
 
-class Plan(ResultFile, LayoutEntry, Result):
+class Plan(ResultFile, LayoutEntry):
     """`plan.json`: the result of `plan`, in Python, on the terminal and on the page."""
 
     FILE: ClassVar[str] = "plan.json"
@@ -76,8 +76,6 @@ class Plan(ResultFile, LayoutEntry, Result):
     """Effects that leave no trace in the residuals."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
-
-    __repr__ = __str__ = Result.__repr__
 
     @classmethod
     def of(cls, network: PlannedNetwork) -> Self:
