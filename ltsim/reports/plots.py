@@ -10,7 +10,7 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.evaluation.bench import BenchFile
 from ltsim.adjustment.evaluation.criteria import Criteria
-from ltsim.adjustment.fieldcheck.check import Check
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History

@@ -14,7 +14,7 @@ from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
 from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
 from ltsim.adjustment.evaluation.criteria import NOMINAL, CriteriaFile
-from ltsim.adjustment.fieldcheck import items as checks
+from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.campaigns.recovery import Recovery
@@ -46,7 +46,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     Recovery,
     uncertainty.Uncertainty,
     comparison.Comparison,
-    checks.CheckFile,
+    Check,
     acceptance.AcceptanceFile,
     BenchFile,
 )
@@ -72,7 +72,7 @@ TABLES: dict[str, tuple[Table, ...]] = {
     Plan.FILE: plan_tables.TABLES,
     NextMeasurement.FILE: (NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
-    checks.CheckFile.FILE: (checks.TWO_FACE,),
+    Check.FILE: (TWO_FACE,),
     comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.Uncertainty.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),

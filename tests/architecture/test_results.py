@@ -16,6 +16,7 @@ from ltsim.reports.schemas import FILES, RESULTS
 FILE_OF: dict[str, str] = {
     "accept": "accept.json",
     "bench": "bench.json",
+    "check": "check.json",
     "compare": "comparison.json",
     "next_measurement": "next.json",
     "plan": "plan.json",
@@ -26,7 +27,6 @@ FILE_OF: dict[str, str] = {
 OBJECTS: dict[str, str] = {
     "adjust": "calibration.json",
     "calibrate": "calibration.json",
-    "check": "check.json",
     "diagnose": "diagnosis.json",
     "evaluate": "criteria.json",
     "history": "history.json",

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import fromstring
 import numpy as np
 import pytest
 
-from ltsim.adjustment.fieldcheck import check_file, write_check
+from ltsim.adjustment.fieldcheck import write_check
 from ltsim.adjustment.fieldcheck.check import check
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import calibrate_network
@@ -354,7 +354,7 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     assert (
         section.title.startswith("Check in the field: ") and section.answer.startswith("Go: ") and not section.actions
     )
-    content = check_file(check(samples.recording()))
+    content = check(samples.recording())
     failed = content.items[0].model_copy(update={"passed": False, "kind": "network"})
     content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
     (tmp_path / "check.json").write_text(content.text())

@@ -13,7 +13,7 @@ WRITERS = {
     "plan.json": ("plan", "Plan", "plan_section"),
     "history.json": ("plain", "HistoryFile", "history_section"),
     "uncertainty.json": ("plain", "Uncertainty", "uncertainty_section"),
-    "check.json": ("plain", "CheckFile", "check_section"),
+    "check.json": ("plain", "Check", "check_section"),
     "comparison.json": ("plain", "Comparison", "comparison_section"),
     "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
     "next.json": ("plain", "NextMeasurement", "next_section"),

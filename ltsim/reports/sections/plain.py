@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ltsim.acceptance.files import AcceptanceFile, passes_words
-from ltsim.adjustment.fieldcheck.items import CheckFile
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.core.notation import number, with_sigma
@@ -50,7 +50,7 @@ AGAINST = {
 """Next action by the kinds of the failed tests."""
 
 
-def check_section(content: CheckFile, context: ReportContext) -> Section:
+def check_section(content: Check, context: ReportContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     drawn = context.file("check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: misfit of each pointing over time."
