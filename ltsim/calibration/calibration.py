@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.evaluation.criteria import Criteria
+from ltsim.adjustment.evaluation.criteria import CriteriaEntry
 from ltsim.adjustment.identification.tests import Test
 from ltsim.adjustment.prior import FREED
 from ltsim.adjustment.verdict import Verdict
@@ -114,7 +114,7 @@ class Calibration(Result):
     """(T, 3) [m]."""
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """(T, 3, 3) [m^2]."""
-    criteria: Criteria | None = None
+    criteria: CriteriaEntry | None = None
     """Criteria of the paper; None for a single station, which has no comparison."""
     outliers: tuple[OutlierRow, ...] = ()
     verdict: Verdict | None = None

@@ -51,7 +51,7 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
     content |= {
         "construction": calibration.construction.name,
         "covariance": (calibration.covariance / np.outer(factors, factors)).tolist(),
-        "criteria": calibration.criteria.as_json() if calibration.criteria else {},
+        "criteria": calibration.criteria.model_dump(exclude_unset=True) if calibration.criteria else {},
         "verdict": VerdictEntry()
         if judged is None
         else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),

@@ -199,10 +199,11 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     source = recording_of(recording)
     use = ~screen_gross_errors(source).gross
     if calibration is None:
-        return criteria_of(source, use=use)
+        return Criteria.of(source, criteria_of(source, use=use))
     corrections = calibration_of(calibration)
     change = incidence_change(source, corrections)
-    return criteria_of(source, corrections.construction, corrections.values_for(source), shift=change, use=use)
+    values = corrections.values_for(source)
+    return Criteria.of(source, criteria_of(source, corrections.construction, values, shift=change, use=use))
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
@@ -229,7 +230,8 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     source, corrections = recording_of(recording), calibration_of(calibration)
     change = incidence_change(source, corrections)
     values = corrections.values_for(source)
-    return verified(source, read_nominal(Path(nominal)), corrections.construction, values, shift=change)
+    points = read_nominal(Path(nominal))
+    return Criteria.of(source, verified(source, points, corrections.construction, values, shift=change))
 
 
 def history(

@@ -117,17 +117,17 @@ def evaluate(
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
-    from ltsim.adjustment.evaluation.criteria import CriteriaFile
+    from ltsim.adjustment.evaluation import Criteria
     from ltsim.adjustment.snooping import screen_gross_errors
 
-    terminal.check_overwrite(CriteriaFile)
+    terminal.check_overwrite(Criteria)
     recording = reading.open(source, terminal)
     gross = screen_gross_errors(recording).gross
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
     applied = None if calibration is None else calibration_of(terminal, calibration)
-    _judged(terminal, lt.evaluate(recording, applied), recording)
+    _judged(terminal, lt.evaluate(recording, applied))
 
 
 def verify(
@@ -144,12 +144,12 @@ def verify(
 
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
-    from ltsim.adjustment.evaluation.criteria import CriteriaFile
+    from ltsim.adjustment.evaluation import Criteria
 
-    terminal.check_overwrite(CriteriaFile)
+    terminal.check_overwrite(Criteria)
     recording = reading.open(source, terminal)
     applied = calibration_of(terminal, calibration)
-    _judged(terminal, lt.verify(recording, nominal, applied), recording)
+    _judged(terminal, lt.verify(recording, nominal, applied))
 
 
 def _fitted(
@@ -176,13 +176,9 @@ def _fitted(
     terminal.result(content, notes=result.notes)
 
 
-def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) -> None:
-    from ltsim.adjustment.evaluation.criteria import CriteriaFile
-    from ltsim.recordings.result_file import SourceEntry
-
-    content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
-    terminal.write(content)
-    terminal.answer(content.content())
+def _judged(terminal: ResultTerminal, criteria: Criteria) -> None:
+    criteria = terminal.write(criteria)
+    terminal.answer(criteria.content())
     terminal.say(criteria.table().text())
     if terminal.out is not None:
         terminal.say(f"\nwritten to {terminal.out}")

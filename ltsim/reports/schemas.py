@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
 from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
-from ltsim.adjustment.evaluation.criteria import NOMINAL, CriteriaFile
+from ltsim.adjustment.evaluation.criteria import NOMINAL, Criteria
 from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
@@ -38,7 +38,7 @@ from ltsim.simulation.truth import TruthFile
 RESULTS: tuple[type[ResultFile], ...] = (
     CalibrationFile,
     HistoryFile,
-    CriteriaFile,
+    Criteria,
     diagnosis.DiagnosisFile,
     Plan,
     NextMeasurement,

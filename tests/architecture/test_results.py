@@ -18,17 +18,18 @@ FILE_OF: dict[str, str] = {
     "bench": "bench.json",
     "check": "check.json",
     "compare": "comparison.json",
+    "evaluate": "criteria.json",
     "next_measurement": "next.json",
     "plan": "plan.json",
     "recover": "recovery.json",
     "uncertainty": "uncertainty.json",
+    "verify": "criteria.json",
 }
 """Verbs whose result is the model of its file."""
 OBJECTS: dict[str, str] = {
     "adjust": "calibration.json",
     "calibrate": "calibration.json",
     "diagnose": "diagnosis.json",
-    "evaluate": "criteria.json",
     "history": "history.json",
     "simulate": "truth.json",
 }

@@ -28,7 +28,7 @@ def calibrated() -> tuple[Recording, Truth, Calibration]:
 
 
 def coordinate_after(calibration: Calibration) -> float:
-    return float(lt.evaluate(calibrated()[0], calibration).coordinate.after.mean)
+    return float(lt.evaluate(calibrated()[0], calibration).coordinate.after.mean_um)
 
 
 def test_the_estimate_is_that_of_the_simulated_reflector() -> None:
@@ -53,7 +53,7 @@ def test_it_is_taken_out_with_the_parameters() -> None:
 
 def test_criteria_of_the_calibration_are_those_of_evaluate() -> None:
     _, _, calibration = calibrated()
-    assert coordinate_after(calibration) == pytest.approx(calibration.criteria.coordinate.after.mean, rel=1e-3)
+    assert coordinate_after(calibration) == pytest.approx(calibration.criteria.coordinate.after.mean_um, rel=1e-3)
 
 
 def test_no_correction_takes_nothing_out() -> None:

@@ -109,7 +109,7 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
     assert np.abs(z).max() < 4 and 0.4 < np.mean(z**2) < 1.8
     corrected = lt.correct(recording, found)
     assert all(corrected.instrument_of(name).corrected for name in corrected.stations)
-    assert lt.evaluate(corrected).distance.before.mean < 0.1 * lt.evaluate(recording).distance.before.mean
+    assert lt.evaluate(corrected).distance.before.mean_um < 0.1 * lt.evaluate(recording).distance.before.mean_um
 
 
 @pytest.mark.parametrize(

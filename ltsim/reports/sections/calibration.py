@@ -136,7 +136,7 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
         compared = f"{abs(change):.1f} % {word} than" if abs(change) >= LEAST_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
-            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
+            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um if distance.after else None)} um)"
         )
     if content.outliers:
         rejected = sum(outlier.excluded for outlier in content.outliers)
@@ -265,7 +265,8 @@ def _criteria(content: CalibrationFile) -> list[Grid]:
     rows = [
         [
             name.replace("_", " "),
-            *(e.before.mean_um, e.before.max_um, e.after.mean_um, e.after.max_um, e.improvement_percent),
+            *(e.before.mean_um, e.before.max_um, e.after and e.after.mean_um, e.after and e.after.max_um),
+            e.improvement_percent,
         ]
         for name, e in content.criteria.items()
         if e.before.mean_um is not None
