@@ -1,4 +1,4 @@
-"""calibration.json with its tables, written whole or not at all and read back; history.json."""
+"""calibration.json with its tables, written whole or not at all and read back."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,11 +7,8 @@ import numpy as np
 
 from ltsim.adjustment.joint import COVARIANCE
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.events import events
-from ltsim.calibration.history import History
-from ltsim.calibration.history_schema import CalibrationOf, CourseEntry, HistoryFile
 from ltsim.calibration.reported import joint_csv
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, ReflectorEntry, VerdictEntry
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, ReflectorEntry, VerdictEntry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.notation import listing
@@ -194,35 +191,3 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
     return (f"{file}: {which} not in the file and taken as zero: {listing(names)}",)
-
-
-def history_file(history: History) -> HistoryFile:
-    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
-    factors = np.array([p.factor for p in history.construction.parameters])
-    return HistoryFile(
-        construction=history.construction.name,
-        calibrations=tuple(
-            CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
-            for label, c in zip(history.labels, history.calibrations, strict=True)
-        ),
-        parameters=tuple(_course(history, k) for k in range(history.construction.size)),
-        mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
-        constant=history.constancy(),
-        changes=tuple(history.changes()),
-        events=events(history),
-        since_first=history.change(0, len(history) - 1),
-    )
-
-
-def _course(history: History, k: int) -> CourseEntry:
-    parameter, population = history.construction.parameters[k], history.population
-    return CourseEntry(
-        name=parameter.name,
-        unit=parameter.unit,
-        values=(history.values[:, k] / parameter.factor).tolist(),
-        sigmas=(history.sigma[:, k] / parameter.factor).tolist(),
-        prior_sigma=history.prior_sigma[k] / parameter.factor,
-        mean=population.mean[k] / parameter.factor,
-        spread=population.spread[k] / parameter.factor,
-        constant=history.constancy(k),
-    )

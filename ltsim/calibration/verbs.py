@@ -8,6 +8,7 @@ from typing import Any
 from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.correct import incidence_change
 from ltsim.calibration.distance import METHODS, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
@@ -262,14 +263,14 @@ def history(
     >>> import ltsim as lt
     >>> spring, autumn = (lt.simulate("paper-workshop", seed=s).recording for s in (1, 2))
     >>> course = lt.history([spring, autumn])
-    >>> course.change(0, 1).dof > 0
+    >>> course.since_first.dof > 0
     True
     """
     if isinstance(sources, Mapping):
         named = [(label, _labelled(label, source, options)[1]) for label, source in sources.items()]
     else:
         named = [_labelled(str(number), source, options) for number, source in enumerate(sources, start=1)]
-    return History.of(named, instrument, None if dates is None else names(dates))
+    return History.of(CalibrationSeries.of(named, instrument, None if dates is None else names(dates)))
 
 
 def _labelled(label: str, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:

@@ -266,24 +266,21 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
-    from ltsim.calibration.files import history_file
-    from ltsim.calibration.history_schema import HistoryFile
+    from ltsim.calibration.history import History
     from ltsim.reports.sections import section_of
 
-    terminal.check_overwrite(HistoryFile, "history.svg")
+    terminal.check_overwrite(History, "history.svg")
     opened: dict[str, Calibration | Recording] = {}
     for source in sources:
         opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
     with terminal.progress("calibrating"):
-        courses = lt.history(opened, **options)
-    content = history_file(courses)
+        content = lt.history(opened, **options)
 
     def drawn() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
         from ltsim.reports.style import svg
 
-        determined = [course for course in content.parameters if course.constant.dof]
-        return {"history.svg": svg(history_figure(courses.labels, determined))}
+        return {"history.svg": svg(history_figure(content.labels, content.determined))}
 
     written = terminal.write(content, drawn)
     terminal.result(written)

@@ -15,7 +15,7 @@ from ltsim.acceptance.spec import Acceptance
 from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
 from ltsim.adjustment.evaluation.criteria import NOMINAL, Criteria
 from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
-from ltsim.calibration.history_schema import HistoryFile
+from ltsim.calibration.history import History
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_trials import TRIALS
@@ -37,7 +37,7 @@ from ltsim.simulation.truth import TruthFile
 
 RESULTS: tuple[type[ResultFile], ...] = (
     CalibrationFile,
-    HistoryFile,
+    History,
     Criteria,
     diagnosis.DiagnosisFile,
     Plan,

@@ -19,6 +19,7 @@ FILE_OF: dict[str, str] = {
     "check": "check.json",
     "compare": "comparison.json",
     "evaluate": "criteria.json",
+    "history": "history.json",
     "next_measurement": "next.json",
     "plan": "plan.json",
     "recover": "recovery.json",
@@ -30,7 +31,6 @@ OBJECTS: dict[str, str] = {
     "adjust": "calibration.json",
     "calibrate": "calibration.json",
     "diagnose": "diagnosis.json",
-    "history": "history.json",
     "simulate": "truth.json",
 }
 """Verbs whose result is an object of arrays, from which the content of its file is made."""

@@ -14,8 +14,9 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import history_file, write_calibration
-from ltsim.calibration.history import History as Course
+from ltsim.calibration.calibration_series import CalibrationSeries
+from ltsim.calibration.files import write_calibration
+from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.cli.main import run
@@ -64,7 +65,11 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     days[-1, constant] += blow * GUARANTEE[constant]
     values = [estimated(faces, day, rng) for day in days]
     before = [(f"day {k}", replace(calibration, values=v[None])) for k, v in enumerate(values[:-1])]
-    known = EarlierCalibrations.of(Course.of(before)) if count > 1 else EarlierCalibrations.of(before[0][1])
+    known = (
+        EarlierCalibrations.of(History.of(CalibrationSeries.of(before)))
+        if count > 1
+        else EarlierCalibrations.of(before[0][1])
+    )
     return against(known, adjustment, values[-1])
 
 
@@ -121,7 +126,7 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
         (f"day {k}", calibrate_network(network(faces=2, values=v, seed=70 + k)[0], BUILT, advise=False))
         for k, v in enumerate(days)
     ]
-    write_result(tmp_path / "history", history_file(Course.of(before)), {})
+    write_result(tmp_path / "history", History.of(CalibrationSeries.of(before)), {})
     write_calibration(before[-1][1], tmp_path / "last")
     today = mean.copy()
     today[INDEX] += 2.0 * GUARANTEE[INDEX]

@@ -11,7 +11,7 @@ WRITERS = {
     "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
     "calibration.json": ("calibration", "CalibrationFile", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
-    "history.json": ("plain", "HistoryFile", "history_section"),
+    "history.json": ("plain", "History", "history_section"),
     "uncertainty.json": ("plain", "Uncertainty", "uncertainty_section"),
     "check.json": ("plain", "Check", "check_section"),
     "comparison.json": ("plain", "Comparison", "comparison_section"),

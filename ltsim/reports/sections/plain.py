@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.adjustment.fieldcheck.result import Check
-from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
-from ltsim.calibration.history_schema import HistoryFile
-from ltsim.core.notation import number, with_sigma
+from ltsim.calibration.calibration_series import ChangeEntry
+from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS, EventEntry
+from ltsim.calibration.history import History
+from ltsim.core.notation import number
 from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
@@ -33,6 +34,7 @@ from ltsim.reports.words import count, distinct_labels, duration, listing, natur
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Named = TypeVar("Named", ChangeEntry, EventEntry)
 LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
 UNITED = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
@@ -208,61 +210,65 @@ def next_section(content: NextMeasurement, _: ReportContext) -> Section:
     return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
 
 
-def history_section(content: HistoryFile, _: ReportContext) -> Section:
+def history_section(content: History, _: ReportContext) -> Section:
     """Section of the history of an instrument."""
-    labels = [c.label for c in content.calibrations]
-    short = dict(zip(labels, distinct_labels(labels), strict=True))
+    labels = content.labels
+    content = _with_short_labels(content)
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
     changed = bool(content.events) if usual else since.p_value < LEVEL
-    determined = [p for p in content.parameters if p.constant.dof]
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, determined), text)
-    drawn = [course] if determined else []
-    ends: dict[str, Callable[[Any], str]] = {
-        "from_": lambda e: short.get(e.from_, e.from_),
-        "to": lambda e: short.get(e.to, e.to),
-    }
-    named = [e.model_copy(update={key: end(e) for key, end in ends.items()}) for e in content.events]
-    every = [*content.changes, since] if len(content.changes) > 1 else [since]
-    rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
-             f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value)] for c in every]  # fmt: skip
-    marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
+    figure = partial(figures.parameters.history_figure, labels, content.determined)
+    course = [Picture("Course of the parameters", figure, text)] if content.determined else []
     few = "no event can be detected" if len(labels) <= LEAST_STEPS else "only a gross event can be detected"
     hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
+    note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
+    scaled = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
+    changes = content.table("changes")
+    marked = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < LEVEL)
     blocks: list[Block] = [
-        Grid("Changes between calibrations", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
-              "Marked: p < 1 % for such differences without a change." + hardly * (not usual),
-              marked),
-        *drawn,
-        *table_of("Events: unusual steps", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
-                  "usual=its usual step", "unit", "p_value"),
-        Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
-              [[p.name, with_sigma(p.values[-1], p.sigmas[-1], p.unit), number(p.mean), number(p.spread),
-                p_text(p.constant.p_value)] for p in determined]),
-        Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
-              [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
-               for c in content.calibrations],
-              note="Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."),
-    ]  # fmt: skip
+        *table_block("Changes between calibrations", changes, note=note, marked=marked),
+        *course,
+        *table_block("Events: unusual steps", content.table("events")),
+        *table_block("Parameters", content.table("parameters")),
+        *table_block("Fits of the calibrations", content.table("fits"), note=scaled),
+    ]
     facts = [
         Fact("calibrations", str(len(labels))),
-        Fact("events", str(len(named)), mood(not named)),
+        Fact("events", str(len(content.events)), mood(not content.events)),
         Fact("p of no change since the first", p_text(since.p_value), mood(not changed)),
     ]
-    answer = f"Over {count(len(labels), 'calibration')} from {rows[-1][0]} to {rows[-1][1]} the instrument "
-    answer += _course_words(content, named, usual, ends)
+    answer = f"Over {count(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
+    answer += _course_words(content, usual)
     return Section("History of an instrument", "History", answer, mood(not changed), facts, blocks)
 
 
-def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
-    since = content.since_first
+def _with_short_labels(content: History) -> History:
+    """The history with the parts of its labels that distinguish them."""
+    short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
+
+    def relabelled(entry: Named) -> Named:
+        ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
+        return entry.model_copy(update=ends)
+
+    return content.model_copy(
+        update={
+            "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
+            "changes": tuple(map(relabelled, content.changes)),
+            "events": tuple(map(relabelled, content.events)),
+            "since_first": relabelled(content.since_first),
+        }
+    )
+
+
+def _course_words(content: History, usual: bool) -> str:
+    since, events = content.since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         names = listing(list(dict.fromkeys(e.name for e in events)))
         return f"had an event (such as a service or a blow) {steps}, in {names}."
     if since.p_value >= LEVEL:
-        between = [f"{ends['from_'](c)} and {ends['to'](c)}" for c in content.changes if c.p_value < LEVEL]
+        between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < LEVEL]
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )
