@@ -176,7 +176,7 @@ class TrueValue(NamedTuple):
 def true_values(truth: Truth) -> dict[str, TrueValue]:
     """True parameters by name; those of effects as ``head-sag:sag``, with the place behind where there is one."""
     values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
-    for applied in truth.effects:
+    for applied in truth.applied:
         place = f" {applied.effect.place}" if applied.effect.place else ""
         for parameter, value in zip(applied.effect.parameters, applied.values, strict=True):
             values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueValue(float(value), parameter.unit)
@@ -240,7 +240,7 @@ class ExpectedTruth:
 def _reflector_error(truth: Truth) -> Floats:
     """True parameters (p,) [SI] of the reflectors' incidence error."""
     total = SmrIncidence().values_of_table
-    for applied in truth.effects:
+    for applied in truth.applied:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place:
             total = total + applied.effect.values_of_table + applied.values
     return total

@@ -33,7 +33,7 @@ from ltsim.recordings.files import write_texts
 from ltsim.recordings.result_file import ResultFile
 from ltsim.recordings.setup import Setup
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.truth import TruthFile
+from ltsim.simulation.truth import Truth
 
 RESULTS: tuple[type[ResultFile], ...] = (
     CalibrationFile,
@@ -49,12 +49,12 @@ RESULTS: tuple[type[ResultFile], ...] = (
     Check,
     acceptance.AcceptanceFile,
     BenchFile,
+    Truth,
 )
 """Models of the files that verbs write."""
 
 FILES: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULTS},
-    "truth.json": TruthFile,
     "setup.toml": Setup,
     "scenario.toml": Scenario,
     "campaign.toml": Campaign,
@@ -67,7 +67,7 @@ FILES: dict[str, type[BaseModel]] = {
 TABLES: dict[str, tuple[Table, ...]] = {
     CalibrationFile.FILE: (TARGETS, RESIDUALS),
     BenchFile.FILE: (BENCH,),
-    "truth.json": (NOMINAL,),
+    Truth.FILE: (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     Plan.FILE: plan_tables.TABLES,
     NextMeasurement.FILE: (NEXT,),

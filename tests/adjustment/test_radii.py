@@ -56,7 +56,7 @@ def controlled(recording: Recording, truth: Truth, known: tuple[str, ...] = CONT
     """The recording with some targets known as they are."""
     targets = dict(recording.setup.targets)
     for name in known:
-        place = tuple((1e3 * truth.points[truth.targets.index(name)]).tolist())
+        place = tuple((1e3 * truth.points[truth.target_names.index(name)]).tolist())
         targets[name] = targets[name].model_copy(update={"known_mm": place, "known_sigma_mm": 0.002})
     return with_setup(recording, targets=targets)
 

@@ -23,6 +23,7 @@ FILE_OF: dict[str, str] = {
     "next_measurement": "next.json",
     "plan": "plan.json",
     "recover": "recovery.json",
+    "simulate": "truth.json",
     "uncertainty": "uncertainty.json",
     "verify": "criteria.json",
 }
@@ -31,7 +32,6 @@ OBJECTS: dict[str, str] = {
     "adjust": "calibration.json",
     "calibrate": "calibration.json",
     "diagnose": "diagnosis.json",
-    "simulate": "truth.json",
 }
 """Verbs whose result is an object of arrays, from which the content of its file is made."""
 
@@ -40,7 +40,8 @@ def returned(verb: str) -> Any:
     """Class that a public function returns."""
     function = getattr(lt, verb)
     annotation = inspect.signature(function).return_annotation
-    return function.__globals__.get(annotation) if isinstance(annotation, str) else annotation
+    kind = function.__globals__.get(annotation) if isinstance(annotation, str) else annotation
+    return kind.__annotations__["truth"] if verb == "simulate" else kind
 
 
 @pytest.mark.parametrize(("verb", "file"), FILE_OF.items())

@@ -34,7 +34,7 @@ def coordinate_after(calibration: Calibration) -> float:
 def test_the_estimate_is_that_of_the_simulated_reflector() -> None:
     """Over the angles of the recording, at most a third of the true error is left."""
     _, truth, calibration = calibrated()
-    applied = next(entry for entry in truth.effects if isinstance(entry.effect, SmrIncidence))
+    applied = next(entry for entry in truth.applied if isinstance(entry.effect, SmrIncidence))
     sightings = calibration.adjustment.sightings
     true = applied.effect.shift(sightings, np.array(applied.values))[:, 0]
     estimated = (SmrIncidence().design(sightings) @ calibration.applied_reflectors[""])[:, 0]

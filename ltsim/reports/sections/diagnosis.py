@@ -90,7 +90,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
-        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.effects])
+        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.applied])
         notice = f"This recording is simulated, with {what} injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
@@ -294,7 +294,7 @@ def _detectability(content: DiagnosisFile) -> list[Grid]:
 
 def _against_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    named = {a.effect.name: a for a in truth.effects}
+    named = {a.effect.name: a for a in truth.applied}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
     rows = [
@@ -302,7 +302,7 @@ def _against_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> l
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
     table = Grid("Injected and diagnosed", ["", "injected", "diagnosed"], rows, 1, note)
-    return [*_curves(content, truth.effects[0], pair), table]
+    return [*_curves(content, truth.applied[0], pair), table]
 
 
 def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
