@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
 
@@ -165,7 +165,7 @@ class CalibrationSeries(ValueEquality):
     @cached_property
     def _evidence(self) -> list[LikelihoodInformation]:
         return [
-            likelihood_information(c.values[0], c.covariance, c.prior_used[0], self.prior_sigma)
+            likelihood_information(c.values[0], c.covariance, c.arrays.prior_used[0], self.prior_sigma)
             for c in self.calibrations
         ]
 
@@ -282,11 +282,10 @@ class CalibrationSeries(ValueEquality):
         population, unit = self.population, self.prior_sigma
         single = single_instrument(calibration, None, "the calibration")
         spread = population.spread / unit
-        likelihood = likelihood_information(single.values[0], single.covariance, single.prior_used[0], unit)
+        likelihood = likelihood_information(single.values[0], single.covariance, single.arrays.prior_used[0], unit)
         covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
         values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
-        return replace(
-            single,
+        return single.with_changes(
             values=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=population.spread[None],

@@ -12,7 +12,6 @@ from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.schema import CalibrationFile
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
 from ltsim.core.units import FACTOR
@@ -51,10 +50,10 @@ class EarlierCalibrations:
         if isinstance(source, History):
             return cls._of_history(source)
         path = Path(source)
-        names = (CalibrationFile.FILE, History.FILE)
+        names = (Calibration.FILE, History.FILE)
         held = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
         file = held[0] if path.is_dir() else path
-        if str(read_json(file, CalibrationFile.FILE).get("format", "")).startswith("ltsim-history/"):
+        if str(read_json(file, Calibration.FILE).get("format", "")).startswith("ltsim-history/"):
             return cls._of_history(read_result(file, History), file)
         return cls._of_calibration(read_calibration(file))
 

@@ -11,9 +11,9 @@ from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.reference_tests import UNITS
 from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.verdict import Verdict, verdict
-from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.combinations import Combination
 from ltsim.calibration.schema import (
+    SHOWN_UNITS,
     AxesEntry,
     Fit,
     FittedParameterEntry,

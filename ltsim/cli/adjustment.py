@@ -161,19 +161,20 @@ def _fitted(
 ) -> None:
     """Fit, write and print; a calibration replaces only a calibration, an adjustment only an adjustment."""
     from ltsim.adjustment.joint import COVARIANCE
-    from ltsim.calibration.files import calibration_file, write_calibration
-    from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+    from ltsim.calibration.calibration import Calibration
+    from ltsim.calibration.files import write_calibration
+    from ltsim.calibration.schema import RESIDUALS, TARGETS
 
     adjust_only = verb is lt.adjust
     names = (TARGETS.file, COVARIANCE, RESIDUALS.file)
     terminal.check_overwrite(
-        CalibrationFile, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
+        Calibration, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
     )
     recording = reading.open(source, terminal)
     with terminal.progress("adjusting" if adjust_only else "calibrating"):
         result = verb(recording, **options)
-    content = write_calibration(result, terminal.out) if terminal.out else calibration_file(result)
-    terminal.result(content, notes=result.notes)
+    result = write_calibration(result, terminal.out) if terminal.out else result
+    terminal.result(result, notes=result.notes)
 
 
 def _judged(terminal: ResultTerminal, criteria: Criteria) -> None:
@@ -189,7 +190,7 @@ def calibration_of(terminal: Terminal, path: Path) -> Calibration:
     from ltsim.calibration.files import read_calibration
 
     calibration = read_calibration(path)
-    terminal.notes(calibration.notes)
+    terminal.notes(calibration.warnings)
     return calibration
 
 
@@ -291,9 +292,9 @@ def _opened(
     terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
     """A calibration, a recording, or each of its set-ups, by label."""
-    from ltsim.calibration.schema import CalibrationFile
+    from ltsim.calibration.calibration import Calibration
 
-    file = CalibrationFile.FILE
+    file = Calibration.FILE
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
         return {label or source.stem: calibration_of(terminal, source)}

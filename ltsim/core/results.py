@@ -58,7 +58,7 @@ class Column:
     form : str
         Number format in CSV, as of `format`; `r` for full precision.
     shown : str
-        Number format for display; by default four digits.
+        Number format for display; by default `digits` significant digits.
     sigma : str
         Name of the column with its standard deviation; both are displayed in one cell, `1.23 +- 0.10`.
     like : str
@@ -69,6 +69,8 @@ class Column:
         Displayed title; by default the name without its unit.
     field : str
         Attribute of a row object that holds the value; by default the name.
+    digits : int
+        Significant digits of a number that is displayed without `shown`.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Column:
     unit: str = ""
     title: str = ""
     field: str = ""
+    digits: int = 4
 
     @property
     def heading(self) -> str:
@@ -116,7 +119,7 @@ class Column:
             return f"{value:.{decimals(precision)}f}"
         if self.shown:
             return format(value, self.shown)
-        return str(value) if isinstance(value, int | np.integer) else number(float(value), 4)
+        return str(value) if isinstance(value, int | np.integer) else number(float(value), self.digits)
 
 
 def texts(**columns: str) -> tuple[Column, ...]:

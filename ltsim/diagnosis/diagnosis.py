@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.tests import Test
 from ltsim.adjustment.remedies.detectability import MinimalSize
-from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
 from ltsim.core.results import Columns, Result, Table, by_entry, by_row
 from ltsim.core.units import FACTOR

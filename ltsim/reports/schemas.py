@@ -15,8 +15,9 @@ from ltsim.acceptance.spec import Acceptance
 from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
 from ltsim.adjustment.evaluation.criteria import NOMINAL, Criteria
 from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.calibration.schema import RESIDUALS, TARGETS
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_trials import TRIALS
 from ltsim.campaigns.schema import ROWS, ManifestFile, summary_table
@@ -36,7 +37,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.truth import Truth
 
 RESULTS: tuple[type[ResultFile], ...] = (
-    CalibrationFile,
+    Calibration,
     History,
     Criteria,
     diagnosis.DiagnosisFile,
@@ -65,7 +66,7 @@ FILES: dict[str, type[BaseModel]] = {
 """Models of all files, including those that users write, by name."""
 
 TABLES: dict[str, tuple[Table, ...]] = {
-    CalibrationFile.FILE: (TARGETS, RESIDUALS),
+    Calibration.FILE: (TARGETS, RESIDUALS),
     BenchFile.FILE: (BENCH,),
     Truth.FILE: (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),

@@ -59,7 +59,7 @@ class TruthArrays(ValueEquality):
     """The targets as a measuring machine gave them, (T, 3) [m]."""
 
 
-def _known_unit(unit: str) -> str:
+def _require_unit(unit: str) -> str:
     """The unit itself; ValueError for an unknown one."""
     if unit not in FACTOR:
         raise ValueError(f"'{shown(unit)}' is no unit, expected one of {', '.join(FACTOR)}")
@@ -84,7 +84,7 @@ class TrueValue(Entry):
     """Name of the parameter."""
     value: Finite
     """True value."""
-    unit: Annotated[str, AfterValidator(_known_unit)]
+    unit: Annotated[str, AfterValidator(_require_unit)]
     """Unit of the value."""
 
     @property

@@ -15,7 +15,9 @@ from ltsim.reports.schemas import FILES, RESULTS
 
 FILE_OF: dict[str, str] = {
     "accept": "accept.json",
+    "adjust": "calibration.json",
     "bench": "bench.json",
+    "calibrate": "calibration.json",
     "check": "check.json",
     "compare": "comparison.json",
     "evaluate": "criteria.json",
@@ -29,8 +31,6 @@ FILE_OF: dict[str, str] = {
 }
 """Verbs whose result is the model of its file."""
 OBJECTS: dict[str, str] = {
-    "adjust": "calibration.json",
-    "calibrate": "calibration.json",
     "diagnose": "diagnosis.json",
 }
 """Verbs whose result is an object of arrays, from which the content of its file is made."""

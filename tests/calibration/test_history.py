@@ -1,7 +1,6 @@
 """Calibrations over time: the tests hold their level, find a change, and the history improves a new calibration."""
 
 import json
-from dataclasses import replace
 from datetime import date
 
 import numpy as np
@@ -9,12 +8,14 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment.evaluation.two_face import two_face
-from ltsim.calibration.calibration import Calibration, Fit
+from ltsim.calibration.arrays import CalibrationArrays
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.events import can_tell, events
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.schema import Fit
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
@@ -33,10 +34,8 @@ def estimate(truth, design, rng, prior=PRIOR):
     """A calibration as an adjustment would give it: design rows of unit weight, priors centred at zero."""
     told = design.T @ (design @ truth + rng.standard_normal(len(design)))
     covariance = np.linalg.inv(design.T @ design + np.diag(prior**-2))
-    return Calibration(
-        "network", CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance, FIT,
-        (), "", (),
-    )  # fmt: skip
+    arrays = CalibrationArrays(CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance)
+    return Calibration.of(arrays, method="network", fit=FIT)
 
 
 def designs(rng, count, strength=8.0):
@@ -218,7 +217,7 @@ def test_one_calibration_alone_is_refused():
 def test_a_parameter_without_uncertainty_is_refused():
     rng = stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
-    sure = replace(calibration, covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
+    sure = calibration.with_changes(covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
     with pytest.raises(RecordError, match="no uncertainty of range-offset"):
         CalibrationSeries.of([("a", calibration), ("b", sure)])
 

@@ -64,7 +64,7 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     days = mean + spread * rng.standard_normal((count + 1, len(GUARANTEE)))
     days[-1, constant] += blow * GUARANTEE[constant]
     values = [estimated(faces, day, rng) for day in days]
-    before = [(f"day {k}", replace(calibration, values=v[None])) for k, v in enumerate(values[:-1])]
+    before = [(f"day {k}", calibration.with_changes(values=v[None])) for k, v in enumerate(values[:-1])]
     known = (
         EarlierCalibrations.of(History.of(CalibrationSeries.of(before)))
         if count > 1

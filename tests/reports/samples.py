@@ -14,7 +14,8 @@ from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.remedies.next_measurement import next_measurement
-from ltsim.calibration.calibration import Calibration, residuals_table
+from ltsim.calibration.arrays import residuals_table
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History

@@ -9,7 +9,7 @@ from ltsim.reports.document import ReportContext, Section
 
 WRITERS = {
     "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
-    "calibration.json": ("calibration", "CalibrationFile", "calibration_section"),
+    "calibration.json": ("calibration", "Calibration", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
     "history.json": ("plain", "History", "history_section"),
     "uncertainty.json": ("plain", "Uncertainty", "uncertainty_section"),

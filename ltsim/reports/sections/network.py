@@ -11,9 +11,10 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.combinations import Combination, DeterminedEntry
 from ltsim.calibration.files import read_targets
+from ltsim.calibration.schema import PLACES
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
-from ltsim.core.notation import NONE, fixed, number
+from ltsim.core.notation import NONE, number
 from ltsim.core.probability import p_text, two_sided
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
@@ -30,6 +31,7 @@ from ltsim.reports.document import (
     Scene,
     Section,
     mood,
+    table_block,
     table_of,
 )  # fmt: skip
 from ltsim.reports.residuals import USUAL, Residuals
@@ -135,9 +137,9 @@ def target_table(file: Path | None, *, note: str) -> list[Grid]:
         return []
     names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural(names[i]))
-    rows = [[names[i], *(fixed(1e3 * v, 4) for v in points[i]), *(number(2e6 * s, 2) for s in sigma[i])] for i in order]
-    header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
-    return [Grid("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
+    rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
+    note = f"U: expanded uncertainty, k = 2. {note}"
+    return table_block("Targets", PLACES.filled(rows), note=note, folds=False)
 
 
 def targets_in_words(sigma: Floats) -> str:
