@@ -225,7 +225,7 @@ def diagnoses(out: Path) -> None:
     rows: Rows = []
     for label, stated in (("default", None), ("found", found_noise(out))):
         for name in EPOCHS:
-            content = diagnose(epoch(name, stated)).to_json()
+            content = diagnose(epoch(name, stated)).content()
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",

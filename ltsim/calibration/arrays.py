@@ -40,8 +40,8 @@ class CalibrationArrays(ValueEquality):
     """Parameters whose prior the readings contradict, and whose estimate follows them, (I, p)."""
     applied_values: Floats | None = None
     """Parameters to apply to readings; None where these are the estimates, (I, p)."""
-    null_space: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    """Combinations, in prior sigmas, that a distance method did not estimate: they stay at zero, (k, I p)."""
+    null_space: Floats | None = field(default=None, repr=False)
+    """Combinations, in prior sigmas, that a distance method did not estimate, (k, I p); they stay at zero."""
     targets: tuple[str, ...] = ()
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Coordinates of the targets, (T, 3) [m]."""
@@ -64,6 +64,14 @@ class CalibrationArrays(ValueEquality):
     def prior_used(self) -> Floats:
         """Standard deviations of the prior that the estimates had, (I, p)."""
         return np.where(self.prior_rejected, FREED, 1.0) * self.prior_sigma
+
+    @property
+    def bias_operator(self) -> Floats:
+        """Bias operator (I p, I p), in prior sigmas: the expected error of the estimates is -bias_operator @ truth."""
+        if self.null_space is not None:
+            return self.null_space.T @ self.null_space
+        unit = self.prior_sigma.ravel()
+        return self.covariance / np.outer(unit, unit)
 
     def part(self, instrument: int, keep: Ints) -> CalibrationArrays:
         """Arrays of one instrument with the parameters `keep` (k,)."""

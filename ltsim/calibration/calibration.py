@@ -253,14 +253,6 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self.arrays.adjustment
 
     @property
-    def bias_operator(self) -> Floats:
-        """Bias operator (I p, I p), in prior sigmas: the expected error of the estimates is -bias_operator @ truth."""
-        if self.method == "network":
-            unit = self.prior_sigma.ravel()
-            return self.covariance / np.outer(unit, unit)
-        return self.arrays.null_space.T @ self.arrays.null_space
-
-    @property
     def applied(self) -> Floats:
         """Parameters (I, p) [SI] to take out of readings."""
         applied = self.arrays.applied_values

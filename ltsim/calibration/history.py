@@ -12,7 +12,7 @@ from ltsim.calibration.schema import Fit
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, Columns, Table, columns_of, numbers, texts
+from ltsim.core.results import Column, Columns, Table, columns_of, texts
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
@@ -64,7 +64,8 @@ COURSES = Table(
         Column("last", "estimate of the last calibration", sigma="sigma_last"),
         Column("sigma_last", "its standard deviation"),
         *texts(unit="of all numbers of the row"),
-        *numbers(mean="weighted mean of the estimates", spread="standard deviation over the calibrations"),
+        Column("mean", "weighted mean of the estimates", digits=3),
+        Column("spread", "standard deviation over the calibrations", digits=3),
         Column("p_constant", "of the test that it did not change", "chance"),
     ),
 )
@@ -73,7 +74,9 @@ FITS = Table(
     "agreement of readings and model of each calibration",
     (
         *texts(calibration="label"),
-        *numbers(chi2="weighted sum of squares", degrees_of_freedom="of the fit", sigma0="of unit weight"),
+        Column("chi2", "weighted sum of squares", digits=3),
+        Column("degrees_of_freedom", "of the fit"),
+        Column("sigma0", "standard deviation of unit weight", digits=3),
     ),
 )
 EVENTS = Table(

@@ -215,7 +215,7 @@ class ExpectedTruth:
         mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
-            return cls(mean, drawn, calibration.bias_operator, np.zeros(0, dtype=np.int64), prior)
+            return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
         more = np.concatenate([np.zeros(0), *reflectors])

@@ -222,15 +222,15 @@ def diagnose(
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
+    from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import COMPANIONS, write_diagnosis
-    from ltsim.diagnosis.schema import DiagnosisFile
 
-    terminal.check_overwrite(DiagnosisFile, *COMPANIONS)
+    terminal.check_overwrite(Diagnosis, *COMPANIONS)
     recording = reading.open(source, terminal)
     with terminal.progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options)
-    content = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis.file(recording)
-    terminal.result(content)
+    diagnosis = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis
+    terminal.result(diagnosis)
     return 1 if fail_on_mismatch and diagnosis.verdict == "mismatch" else 0
 
 

@@ -24,6 +24,7 @@ from ltsim.campaigns.schema import ROWS, ManifestFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.core.results import Table
 from ltsim.diagnosis import schema as diagnosis
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.measurands import comparison, uncertainty
 from ltsim.measurands.spec import Tasks
 from ltsim.planning import tables as plan_tables
@@ -40,7 +41,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     Calibration,
     History,
     Criteria,
-    diagnosis.DiagnosisFile,
+    Diagnosis,
     Plan,
     NextMeasurement,
     ManifestFile,
@@ -69,7 +70,7 @@ TABLES: dict[str, tuple[Table, ...]] = {
     Calibration.FILE: (TARGETS, RESIDUALS),
     BenchFile.FILE: (BENCH,),
     Truth.FILE: (NOMINAL,),
-    diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
+    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     Plan.FILE: plan_tables.TABLES,
     NextMeasurement.FILE: (NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),

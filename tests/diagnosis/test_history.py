@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -111,7 +110,7 @@ def test_two_constants_that_changed_are_told_apart() -> None:
     calibration, adjustment = measured(2)
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), stream(3, "a"))
     today[BUILT.names.index("beam-tilt")] -= GUARANTEE[BUILT.names.index("beam-tilt")]
-    known = EarlierCalibrations.of(replace(calibration, values=np.zeros((1, len(GUARANTEE)))))
+    known = EarlierCalibrations.of(calibration.with_changes(values=np.zeros((1, len(GUARANTEE)))))
     sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 
@@ -141,7 +140,7 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
         assert abs(index.value - 2.0 * GUARANTEE[INDEX] / 1e-6) < 4 * index.sigma
         assert first.sentence.startswith("The vertical index of the instrument differs by (")
         assert found.summary.startswith(first.sentence)
-        assert found.to_json()["findings"][0]["sentence"] == first.sentence
+        assert found.content()["findings"][0]["sentence"] == first.sentence
 
 
 def test_a_wrong_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

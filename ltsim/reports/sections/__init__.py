@@ -8,7 +8,7 @@ from ltsim.recordings.result_file import ResultFile, read_result
 from ltsim.reports.document import ReportContext, Section
 
 WRITERS = {
-    "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
+    "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),
     "calibration.json": ("calibration", "Calibration", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
     "history.json": ("plain", "History", "history_section"),

@@ -15,7 +15,8 @@ from ltsim.core.errors import LtsimError
 from ltsim.core.notation import NONE, number, with_sigma
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.units import FACTOR
-from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Misfit, Where
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.schema import BEFORE, TARGETS, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants, effect_words, parameter_words
 from ltsim.physics.effects import title_of
 from ltsim.physics.effects.verbs import effect_from
@@ -49,7 +50,7 @@ MOST_STEPS = 3
 """Smallest number of points that are drawn as a curve."""
 
 
-def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section:
+def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     """Section of a `diagnosis.json`; with a truth in its folder it begins with a comparison of both.
 
     Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
@@ -99,7 +100,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     )  # fmt: skip
 
 
-def _actions(content: DiagnosisFile) -> list[str]:
+def _actions(content: Diagnosis) -> list[str]:
     """Next actions: the measurement that separates explanations, places to inspect, coordinates to use."""
     if not content.findings:
         return []
@@ -131,7 +132,7 @@ def _swapped(finding: Finding) -> bool:
     return finding.effect == "target-swap" and len(finding.where.targets) == 2
 
 
-def _facts(content: DiagnosisFile) -> list[Fact]:
+def _facts(content: Diagnosis) -> list[Fact]:
     test = content.global_test
     plain = test.p_value if test.dof > 0 else None
     verdict = mood(content.verdict == "consistent")
@@ -152,7 +153,7 @@ def _ratio(fit: Misfit) -> str:
 
 
 def _residuals(
-    content: DiagnosisFile, context: ReportContext, pair: Pair | None
+    content: Diagnosis, context: ReportContext, pair: Pair | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings, with covariates from the geometry of the recording."""
     file, stored = (context.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
@@ -249,7 +250,7 @@ def _place_of(effect: Any) -> str:
     return listing([*effect.stations, *effect.targets]) or "everywhere"
 
 
-def _fit(content: DiagnosisFile) -> list[Block]:
+def _fit(content: Diagnosis) -> list[Block]:
     if content.fit is None:
         return []
     pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
@@ -262,7 +263,7 @@ def _fit(content: DiagnosisFile) -> list[Block]:
     return [Grid("Fit before and after", header, rows, note=note)]
 
 
-def _hidden(content: DiagnosisFile) -> list[Block]:
+def _hidden(content: Diagnosis) -> list[Block]:
     """Table of undetectable effects that cause relevant errors, the largest first."""
     relevant = [
         u for u in content.undetectable if u.undetected_target_error_um and u.undetected_target_error_um >= LEAST_UM
@@ -283,7 +284,7 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
     return [Grid("Undetectable in this recording", header, rows, note=note)] if rows else []
 
 
-def _detectability(content: DiagnosisFile) -> list[Grid]:
+def _detectability(content: Diagnosis) -> list[Grid]:
     """Table of the smallest detectable sizes of effects."""
     note = (
         "Size at which about 80 % of the recordings of this network give a mismatch, for a median place; naming may "
@@ -292,7 +293,7 @@ def _detectability(content: DiagnosisFile) -> list[Grid]:
     return table_of("Smallest detectable size", content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
-def _against_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
+def _against_truth(content: Diagnosis, truth: Truth, pair: Pair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
     named = {a.effect.name: a for a in truth.applied}
     ordered = [named.get(f.effect) for f in content.findings]
@@ -330,7 +331,7 @@ def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[
     return rows
 
 
-def _curves(content: DiagnosisFile, applied: AppliedEffect, pair: Pair | None) -> list[Block]:
+def _curves(content: Diagnosis, applied: AppliedEffect, pair: Pair | None) -> list[Block]:
     finding = next((f for f in content.findings if f.effect == applied.effect.name), None)
     if pair is None or finding is None:
         return []
