@@ -56,7 +56,13 @@ TESTS = Table(
 )
 
 
-GROUPS = Table("groups.csv", "tests by group", columns_of(GroupEntry, name={"name": "group"}))
+GROUPS = Table(
+    "groups.csv",
+    "tests by group",
+    columns_of(
+        GroupEntry, name={"name": "group"}, passes={"title": "all pass", "digits": 3}, largest_share={"shown": ".2f"}
+    ),
+)
 
 
 class SensitivityEntry(Entry):

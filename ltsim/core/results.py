@@ -137,7 +137,7 @@ def flags(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
-def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
+def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, Any]) -> tuple[Column, ...]:
     """Columns of the fields of a model, with the descriptions of the fields as meanings.
 
     `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
@@ -200,10 +200,11 @@ class Table(ValueEquality):
         return [column.name for column in self.columns]
 
     def only(self, names: str) -> Table:
-        """The table with the columns `names`, separated by blanks, and their standard deviations."""
-        wanted = set(names.split())
-        wanted |= {column.sigma or column.like for column in self.columns if column.name in wanted}
-        at = [i for i, column in enumerate(self.columns) if column.name in wanted]
+        """The table with the columns `names`, separated by blanks, in this order, and their standard deviations."""
+        by_name = {column.name: column for column in self.columns}
+        wanted = [by_name[name] for name in names.split() if name in by_name]
+        needed = dict.fromkeys(name for c in wanted for name in (c.name, c.sigma or c.like) if name)
+        at = [self.header.index(name) for name in needed]
         rows = tuple(tuple(row[i] for i in at) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
 

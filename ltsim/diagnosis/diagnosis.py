@@ -18,6 +18,7 @@ from ltsim.core.values import ValueEquality
 from ltsim.diagnosis.schema import (
     DETECTABLE,
     FINDINGS,
+    FIT,
     UNDETECTABLE,
     BeforeAfter,
     DetectableEntry,
@@ -124,11 +125,18 @@ class Diagnosis(ResultFile):
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "findings": self._findings,
+            "fit": self._fit,
             "undetectable": lambda: UNDETECTABLE.filled(self.undetectable),
             "detectable": lambda: DETECTABLE.filled(self.detectable),
             "residuals": lambda: residuals_table(self.adjusted),
             "residuals_before": lambda: residuals_table(self.baseline),
         }
+
+    def _fit(self) -> Table:
+        both = () if self.fit is None else (("without the findings", self.fit.before), ("with them", self.fit.after))
+        return FIT.filled(
+            [words, f.chi2, f.dof, f.chi2 / f.dof if f.dof > 0 else None, f.held_out_rms] for words, f in both
+        )
 
     def _findings(self) -> Table:
         """Rows of findings, one per parameter; an unknown effect without parameters has one row."""

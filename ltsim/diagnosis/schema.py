@@ -225,5 +225,20 @@ FINDINGS = Table(
         *texts(unit="of value and sigma"),
     ),
 )
-UNDETECTABLE = Table("undetectable.csv", "effects that leave no residual", columns_of(Undetectable))
+FIT = Table(
+    "fit.csv",
+    "fit before and after",
+    (
+        *texts(model="without or with the findings"),
+        Column("chi2", "weighted sum of squares"),
+        Column("degrees_of_freedom"),
+        Column("ratio", "chi-square per degree of freedom", shown=".3f"),
+        Column("held_out_error", "normalised error on observations that the fit did not see", digits=3),
+    ),
+)
+UNDETECTABLE = Table(
+    "undetectable.csv",
+    "effects that leave no residual",
+    columns_of(Undetectable, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
+)
 DETECTABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

@@ -102,7 +102,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     if content.effects:
         blocks.append(Notes("Effects estimated with the calibration", [effect.sentence for effect in content.effects]))
     note = "Information: share of the prior variance that the recording removes; 0 % means that it adds nothing."
-    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=note)
+    blocks += undetermined("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     return Section(

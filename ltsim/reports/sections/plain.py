@@ -19,7 +19,6 @@ from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
     Fact,
-    Grid,
     Note,
     Notes,
     Picture,
@@ -98,16 +97,11 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
     caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
-    groups = [
-        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
-        for g in content.groups
-    ]
-    share = "error + U over limit" if predicted else "error over limit"
     note = f"Assumed: {content.assumption}." if content.assumption else ""
     ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MOST_TESTS]
     blocks: list[Block] = [
         Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
-        Grid("Groups", ["tests", "number", "all pass", share], groups, note=note),
+        *table_block("Groups", content.table("groups"), note=note),
         *table_of(
             "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
             marked=lambda t: not predicted and t.passes < 1,
@@ -145,17 +139,10 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     judged_results = [r for r in content.results if r.conformity is not None]
     results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
-    judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
-               f"{100 * c.probability:.1f} %", c.judgement] for r in judged_results if (c := r.conformity)]  # fmt: skip
-    header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
-    blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
+    blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; the widest bar is the best to improve."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    hidden = [
-        [r.task, r.name, part.source, number(part.change, 3), r.unit] for r in content.results for part in r.hidden
-    ]
-    header = ["task", "result", "error", "change of the result", "unit"]
-    blocks += [Grid("Errors that no reading shows", header, hidden, 3, note=HIDDEN)] if hidden else []
+    blocks += table_block("Errors that no reading shows", content.table("hidden"), note=HIDDEN)
     blocks += [Notes("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
@@ -191,19 +178,12 @@ def next_section(content: NextMeasurement, _: ReportContext) -> Section:
     answer = f"Measure next: {best.do} ({duration(60 * best.minutes)}); the standard deviations of the "
     answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
     answer = sentence(content.advice) if content.between and content.advice else answer
-    rows = [[p.do, f"{p.minutes:.0f}", f"{100 * (1 - p.sharper):.0f} %",
-             f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
-    header = ["measurement", "time [min]", "mean fall of sigma", "largest for"]
-    note = "Fall of the standard deviations of the instrument's parameters."
-    blocks: list[Block] = [Grid("Further measurements, the best first", header, rows, note=note)]
+    note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
+    proposals = content.table("proposals").only("do minutes sharper serves serves_factor")
+    blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
-        rivals = content.between[1:]
-        now = ["current recording", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
-        evidence = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
-                for p in content.proposals if p.evidence]  # fmt: skip
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
-        heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
-        blocks.append(Grid("Separation of the alternatives", heads, [now, *evidence], note=explanation))
+        blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [Note("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("mean fall of sigma", f"{saved[0]:.0f} %")]
     actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
