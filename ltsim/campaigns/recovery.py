@@ -214,7 +214,7 @@ def recover(
     >>> lt.recover("paper-workshop", trials=12).failures()
     []
     """
-    check_bounds(trials=trials, seed=seed, jobs=jobs)
+    check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = construction_of(scenario), errors or errors_of(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import PrivateAttr
 
 from ltsim.adjustment.remedies.detectability import detectability
+from ltsim.core.arguments import source_path
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table
 from ltsim.physics.effects import CATALOGUE
@@ -193,7 +194,7 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
     """A plan and its scenario: a plan file, a scenario, a plan's folder with its stations, or what the board saved."""
-    folder = Path(source)
+    folder = source_path(source)
     if (folder / PLAN).is_file():
         return load_plan(folder / PLAN)
     if not folder.is_dir():
