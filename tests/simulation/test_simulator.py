@@ -138,8 +138,8 @@ def test_an_effect_changes_no_other_draw() -> None:
 
 def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
     second = [{"name": "range-cyclic", "draw": True}, *EFFECT, {"name": "range-cyclic", "draw": True}]
-    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].effects
-    three = simulate(with_(PAPER, effects=second), 4)[1].effects
+    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].applied
+    three = simulate(with_(PAPER, effects=second), 4)[1].applied
     np.testing.assert_array_equal(one[0].values, three[1].values)
     assert np.all(one[0].values != 0) and np.all(three[0].values != three[2].values)
 
@@ -147,7 +147,7 @@ def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
 def test_an_effect_adds_exactly_its_shift() -> None:
     silent = {**SILENT, "errors": {}}
     entry = [{"name": "range-cyclic", "values": {}, "shape": {"wavelength": 300.0}}]
-    probe = simulate(with_(PAPER, effects=entry), 6)[1].effects[0].effect
+    probe = simulate(with_(PAPER, effects=entry), 6)[1].applied[0].effect
     name = probe.parameters[0].name
     entry[0]["values"] = {name: 4.0}
     plain, _ = simulate(with_(PAPER, instrument=silent), 6)
@@ -234,8 +234,8 @@ def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> N
 def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> None:
     workshop, laboratory = (simulate(load_scenario(n), 9)[1] for n in ("paper-workshop", "paper-laboratory"))
     assert workshop.instrument == laboratory.instrument
-    assert laboratory.nominal is not None and workshop.nominal is None
-    assert 0.1e-6 < np.abs(laboratory.nominal - laboratory.points).max() < 8e-6
+    assert laboratory.arrays.nominal is not None and workshop.nominal is None
+    assert 0.1e-6 < np.abs(laboratory.arrays.nominal - laboratory.points).max() < 8e-6
 
 
 def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
