@@ -90,7 +90,8 @@ def test_recording_and_truth_say_which_tracker_stood_where(tmp_path: Path) -> No
     assert again.instrument_of("S4").prior.offset_mm == 0.06
     write_truth(truth, tmp_path / "truth.json")
     back = read_truth(tmp_path / "truth.json")
-    assert back.instruments == truth.instruments and [t.stations for t in back.instruments] == [("S1", "S3"), ("S2", "S4")]
+    assert back.instruments == truth.instruments
+    assert [t.stations for t in back.instruments] == [("S1", "S3"), ("S2", "S4")]
     assert back.instrument == pytest.approx(truth.instrument) and back.units == truth.units
 
 
