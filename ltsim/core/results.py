@@ -11,7 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -392,8 +392,3 @@ def _value(column: Column, cell: str, file: object, row: int) -> Any:
 def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
     """Columns of rows with equal keys."""
     return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}
-
-
-def by_entry(kind: type, entries: Sequence[object]) -> Columns:
-    """Columns of the fields of a dataclass, one row per entry."""
-    return {field.name: [getattr(entry, field.name) for entry in entries] for field in fields(kind)}

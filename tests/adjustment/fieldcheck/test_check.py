@@ -13,10 +13,9 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.evaluation.two_face import two_face
 from ltsim.adjustment.fieldcheck import Check, check
 from ltsim.adjustment.fieldcheck.check import best_bump
-from ltsim.adjustment.fieldcheck.occupation import StationOccupation
+from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face
 from ltsim.adjustment.fieldcheck.words import plain
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.cli.check import changes, follow, mpe_of
