@@ -78,7 +78,7 @@ def measured(kind: str, pointings: int) -> dict[str, Any]:
     lt.diagnose(watched(240))  # Imports and compiled parts are no part of it.
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     wall, start = time.perf_counter(), time.process_time()
-    found = lt.diagnose(recording).to_json()
+    found = lt.diagnose(recording).content()
     return {
         "recording": kind, "set_ups": len(recording.stations), "targets": len(recording.targets),
         "pointings": len(recording), "columns": len(recording.covariates),

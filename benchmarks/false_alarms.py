@@ -43,13 +43,13 @@ def hall(size: str) -> str:
 def chance(seed: int, file: Path) -> tuple[float, int]:
     """The p-value of the search on one clean recording, compared with its own draws, and how many unknowns it has."""
     found = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
-    return found.search_p_value, found.baseline.solution.system.design.shape[1]
+    return found.global_test.search_p_value, found.baseline.solution.system.design.shape[1]
 
 
 def fell(seed: int, file: Path) -> bool | None:
     """Whether what a search is forced to find in a clean recording lowers the held-out error; None: found nothing."""
     found = lt.diagnose(lt.simulate(file, seed=seed)[0], level=0.999, held_out=True)
-    before, after = found.before.held_out_rms, found.after.held_out_rms
+    before, after = found.fit.before.held_out_rms, found.fit.after.held_out_rms
     return None if before is None or after is None or not found.findings else after < before
 
 

@@ -73,17 +73,14 @@ def _result_file(place: Path) -> Path | None:
 
 
 def _read_result(file: Path) -> Any:
-    """Result in a file of a command: a calibration or a truth as an object, of the others the content of the file."""
+    """Result in a file of a command."""
+    from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import read_calibration
-    from ltsim.calibration.schema import CalibrationFile
     from ltsim.reports.schemas import RESULTS
-    from ltsim.simulation.truth import read_truth
 
     kind = str(read_json(file, "result of ltsim").get("format", ""))
-    if kind == CalibrationFile.model_fields["format"].default:
+    if kind == Calibration.model_fields["format"].default:
         return read_calibration(file)
-    if kind.startswith("ltsim-truth/"):
-        return read_truth(file)
     model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)

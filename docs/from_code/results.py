@@ -7,12 +7,11 @@ from sphinx.application import Sphinx
 from from_code.keys import about, json_place, markdown, sections, unit
 from ltsim.core.results import Table
 from ltsim.reports import schemas
-from ltsim.simulation.truth import TruthFile
 
 
 def files() -> str:
     """Markdown: a section a file, with the tables that lie beside it."""
-    models = {model.FILE: model for model in schemas.RESULTS} | {"truth.json": TruthFile}
+    models = {model.FILE: model for model in schemas.RESULTS}
     lines: list[str] = []
     for file, model in models.items():
         lines += ["", f"## {file}", sections(model, json_place, "###")]

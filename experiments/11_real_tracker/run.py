@@ -14,8 +14,8 @@ import pandas as pd
 
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
-from ltsim.adjustment.evaluation.two_face import two_face
-from ltsim.calibration.files import history_file
+from ltsim.adjustment.fieldcheck.occupation import two_face
+from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Floats
@@ -67,8 +67,8 @@ def course(out: Path) -> None:
     kept = {name: snooped(epoch(name, found))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
-        history = History.of(own)
-        content = history_file(history).content()
+        history = CalibrationSeries.of(own)
+        content = History.of(history).content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         if construction is SIX:  # sixteen courses are a table
             write_figure(out / f"history_{label}.svg", history.plot())
@@ -110,7 +110,7 @@ def transfer(out: Path) -> None:
                for k, r in raw.items()}  # fmt: skip
         for name, s in raw:
             others = [(f"{k[0]} {k[1]}", c) for k, c in own.items() if k[0] != name]
-            used = History.of(others).as_prior_of(own[name, s]) if informed else own[name, s]
+            used = CalibrationSeries.of(others).as_prior_of(own[name, s]) if informed else own[name, s]
             to = s if method == CEILING else 1 - s
             values = used.applied[0] if method == DEFAULT else used.values[0]
             faces = two_face(raw[name, to]), two_face(raw[name, to], construction, values)
@@ -225,7 +225,7 @@ def diagnoses(out: Path) -> None:
     rows: Rows = []
     for label, stated in (("default", None), ("found", found_noise(out))):
         for name in EPOCHS:
-            content = diagnose(epoch(name, stated)).to_json()
+            content = diagnose(epoch(name, stated)).content()
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",

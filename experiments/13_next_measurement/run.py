@@ -32,11 +32,11 @@ def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Reco
         place, yaw = remedy.set_up
         position = np.vstack([position, place])
         rotation = np.concatenate([rotation, about_z(yaw)[None]])
-    order = [truth.targets.index(name) for name in recording.targets]
+    order = [truth.target_names.index(name) for name in recording.targets]
     values = np.array([[truth.instrument[name] for name in construction.names]])
     state = State(position, rotation, truth.points[order], values)
     readings = MeasurementModel(recording, construction).predict(state)
-    for applied in truth.effects:
+    for applied in truth.applied:
         readings = readings + applied.effect.shift(sightings_of(recording, state), applied.values)
     noise = stream(seed, "added").normal(size=readings.shape) * recording.sigma()
     added = np.arange(len(recording)) >= len(before)

@@ -27,7 +27,7 @@ ROUNDS = ("round-1", "round-2", "round-3")
 def examine(folder: Path, out: Path) -> None:
     """Diagnose one recording with default settings, and write it down."""
     found = diagnose(read(folder))
-    diagnosis = json.dumps(found.to_json(), allow_nan=False) + "\n"
+    diagnosis = json.dumps(found.content(), allow_nan=False) + "\n"
     write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": targets_csv(found)})
 
 

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from ltsim.core.results import Result, Table, columns_of
+from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, ResultFile
 from ltsim.recordings.specification import Specification
 
@@ -56,7 +56,13 @@ TESTS = Table(
 )
 
 
-GROUPS = Table("groups.csv", "tests by group", columns_of(GroupEntry, name={"name": "group"}))
+GROUPS = Table(
+    "groups.csv",
+    "tests by group",
+    columns_of(
+        GroupEntry, name={"name": "group"}, passes={"title": "all pass", "digits": 3}, largest_share={"shown": ".2f"}
+    ),
+)
 
 
 class SensitivityEntry(Entry):
@@ -85,7 +91,7 @@ class WorstEntry(Entry):
     """The largest of them."""
 
 
-class AcceptanceFile(ResultFile, Result):
+class AcceptanceFile(ResultFile):
     """`accept.json`: from `accept`."""
 
     FILE: ClassVar[str] = "accept.json"
@@ -113,8 +119,6 @@ class AcceptanceFile(ResultFile, Result):
     """Sensitivity of the tests to each constant of the instrument."""
     worst_passing: WorstEntry | None = None
     """Worst instrument that passes every test: errors that the tests do not detect."""
-
-    __repr__ = __str__ = Result.__repr__
 
     def _lines(self) -> list[str]:
         return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]

@@ -1,20 +1,28 @@
-"""The public function of acceptance tests."""
+"""The public function of acceptance tests, and errors that were measured against the limits of the maker."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ltsim.acceptance.files import AcceptanceFile
-from ltsim.acceptance.judged import by_network, judged, read_measured
+from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
 from ltsim.acceptance.prediction import AcceptancePlan, predicted
-from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
+from ltsim.acceptance.spec import Acceptance, Test, acceptance_from, load_acceptance, rows_of
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
-from ltsim.core.errors import SetupError
-from ltsim.physics.model.construction import of_design
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
+from ltsim.core.units import MICROMETRE
+from ltsim.geometry.polar import across_beam, from_polar
+from ltsim.physics.model.construction import declared_construction, of_design
 from ltsim.recordings import read
+from ltsim.recordings.files import comma_number, shown
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.specification import Specification
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str | Path = ".") -> AcceptanceFile:
@@ -82,3 +90,153 @@ def _usable_calibration(path: Path) -> Calibration:
     if len(calibration.instruments) > 1:
         raise SetupError(f"{path}: is of {len(calibration.instruments)} instruments; the tests are of one")
     return calibration
+
+
+RATIO = 4.0
+"""Limit over expanded uncertainty from which an error is accepted as it is (simple acceptance, ASME B89.7.3.1)."""
+
+
+def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
+    """Entry of an error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where none is given."""
+    sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
+    return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
+
+
+@as_setup_error()
+def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
+    """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
+
+    Raises SetupError when a test is none of the plan or stands there twice, or a field is no number.
+    """
+    place = {test.name: i for i, test in enumerate(tests)}
+    entries: dict[str, TestEntry] = {}
+    for line, row in rows_of(file, ("test", "error_um"), ("U_um",)):
+        name = row["test"].strip()
+        if name not in place:
+            raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
+        if name in entries:
+            raise SetupError(f"{file}: row {line}: test '{shown(name)}' stands there twice; give its largest error")
+        numbers = [
+            comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
+            for name in ("error_um", "U_um")
+        ]
+        if not np.isfinite(numbers[0]):
+            raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
+        i = place[name]
+        entries[name] = entry(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
+    if not entries:
+        raise SetupError(f"{file}: no measured errors; expected one row per test")
+    return list(entries.values())
+
+
+def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
+    """Lengths of a network as each station reads them, against the network's own, and differences of two faces.
+
+    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what a
+    station reads between two targets, as read and in one face, is then compared with these. Raises NetworkError when
+    the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
+
+    References
+    ----------
+    Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020) 108165.
+    """
+    if len(recording.stations) < 2:
+        raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
+    adjustment = adjust(recording, declared_construction(recording))
+    adjustment.solution.require_success()
+    whole = recording.measured.all(axis=1) & ~adjustment.gross
+    errors: list[TestEntry] = []
+    for s, station in enumerate(recording.stations):
+        front, back = (
+            _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
+        )
+        errors += _lengths(station, adjustment, front or back, specification)
+        both = sorted(front.keys() & back.keys())
+        for t in both:
+            error = float(np.linalg.norm(across_beam((front[t] - back[t])[None], front[t][None])))
+            limit = float(specification.of_two_faces(front[t][None])[0])
+            errors.append(entry(f"{station}: {recording.targets[t]}", "two-face", error, limit))
+    if not errors:
+        raise NetworkError("no station measured two whole targets; a length needs both ends")
+    return errors
+
+
+def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
+    """Mean points (3,) [m] in the instrument's frame of the targets in some rows, as read."""
+    points = from_polar(recording.readings[rows])
+    targets = recording.target[rows]
+    return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
+
+
+def _lengths(
+    station: str, adjusted: Adjustment, mean_points: dict[int, Floats], specification: Specification
+) -> list[TestEntry]:
+    """Every length between targets that a station has seen, against the network's, with the uncertainty of that."""
+    names, points = adjusted.recording.targets, adjusted.state.points
+    placed = [
+        t for t in sorted(mean_points) if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
+    ]
+    pairs = np.array(list(combinations(placed, 2)), dtype=np.int64).reshape(-1, 2)
+    if not len(pairs):
+        return []
+    first, second = (np.array([mean_points[int(t)] for t in ends]) for ends in pairs.T)
+    way = points[pairs[:, 1]] - points[pairs[:, 0]]
+    length = np.linalg.norm(way, axis=1)
+    direction = way / length[:, None]
+    expanded = 2 * np.sqrt(_length_variance(adjusted, placed, pairs, direction))
+    error = np.linalg.norm(second - first, axis=1) - length
+    limit = specification.of_lengths(first, second)
+    named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
+    return [
+        entry(name, f"lengths from {station}", float(e), float(m), float(u))
+        for name, e, m, u in zip(named, error, limit, expanded, strict=True)
+    ]
+
+
+def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, direction: Floats) -> Floats:
+    """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of the placed targets.
+
+    Both ends of a length have most of their errors in common (poses, constants), so their joint covariance is needed;
+    a length is the same in every datum.
+    """
+    unknowns, size = adjusted.problem.unknowns, len(placed)
+    columns = unknowns.target[placed].ravel()
+    unit = np.zeros((unknowns.size, len(columns)))
+    unit[columns, np.arange(len(columns))] = 1.0
+    joint = adjusted.factor.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
+    a, b = np.searchsorted(placed, pairs).T
+    both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
+    return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))
+
+
+def judged(
+    tests: Sequence[TestEntry], acceptance: Acceptance, *, remaining: int = 0, recording: Recording | None = None
+) -> AcceptanceFile:
+    """Errors that were found, against their limits; `left` tests of the plan have none."""
+    groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
+    failed = sorted((t for t in tests if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6))
+    blunt = sum((t.expanded_um or 0.0) * RATIO > t.limit_um for t in tests)
+    sentence = f"all {len(tests)} errors are within their limits"
+    if failed:
+        w = failed[0]
+        sentence = (
+            f"{len(failed)} of {len(tests)} errors are over their limits; the worst is {w.name}: "
+            f"{w.error_um:.1f} um where {w.limit_um:.1f} um are permitted"
+        )
+    if remaining:
+        sentence += f"; {remaining} tests of the plan were not measured"
+    if blunt:
+        sentence += (
+            f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
+        )
+    content = AcceptanceFile(
+        title=acceptance.title,
+        kind="measured" if recording is None else "network",
+        plan=acceptance.plan if recording is None else "own network",
+        specification=acceptance.limits,
+        passes=float(not failed and not remaining),
+        sentence=sentence,
+        groups=group_entries(tests, groups, predicted=False),
+        tests=tuple(tests),
+    )
+    return content if recording is None else content.model_copy(update={"recording": SourceEntry.of(recording)})

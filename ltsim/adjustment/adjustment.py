@@ -33,8 +33,8 @@ from ltsim.physics.model.construction import Construction, ideal
 from ltsim.physics.model.measurement import MeasurementModel, State
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import as_dense
+from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import single_threaded

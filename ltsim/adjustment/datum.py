@@ -18,8 +18,8 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.model.measurement import State
-from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import FORMED, unit_diagonal
+from ltsim.solve.elimination import BlockFactor
 
 PASSES = 5
 

@@ -23,8 +23,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
-from ltsim.solve.blocks import BlockSystem
 from ltsim.solve.design import Design, Pattern, as_dense
+from ltsim.solve.elimination import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first

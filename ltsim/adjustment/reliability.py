@@ -7,8 +7,8 @@ from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import median_deviation
+from ltsim.solve.elimination import BlockFactor
 
 FAMILY_LEVEL = 0.01
 """Probability that a recording without errors has any outlier (Sidak over all readings)."""

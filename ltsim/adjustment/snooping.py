@@ -26,8 +26,8 @@ from ltsim.geometry.rigid import holds_pose
 from ltsim.physics.model.construction import ideal
 from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
 from ltsim.recordings.recording import Recording
-from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
+from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 LEAST = 10

@@ -13,8 +13,8 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.design import Design, median_deviation
+from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 HUBER, CAUCHY = 2.0, 2.385

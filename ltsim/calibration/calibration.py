@@ -2,81 +2,52 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
+from pydantic import BeforeValidator, Field, PrivateAttr, field_serializer, model_validator
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.evaluation.criteria import Criteria
+from ltsim.adjustment.evaluation.criteria import CriteriaEntry
 from ltsim.adjustment.identification.tests import Test
-from ltsim.adjustment.prior import FREED
-from ltsim.adjustment.verdict import Verdict
-from ltsim.calibration.combinations import Combination as Combination, DeterminedEntry
+from ltsim.calibration.arrays import CalibrationArrays, arrays_from, residuals_table, targets_table
+from ltsim.calibration.combinations import Combination, DeterminedEntry
 from ltsim.calibration.evidence import by_plausible_sizes, determined, harmonics
 from ltsim.calibration.schema import (
-    COORDINATES,
-    RESIDUALS,
-    TARGETS,
+    NOISE,
+    OUTLIERS,
+    PARAMETERS,
+    REFERENCE_VALUES,
+    REFLECTORS,
+    STATIONS,
     AxesEntry,
-    Correction as Correction,
-    Fit as Fit,
+    Correction,
+    Fit,
     FittedEffectEntry,
     HarmonicEntry,
-    NoiseRow as NoiseRow,
-    OutlierRow as OutlierRow,
+    NoiseRow,
+    OutlierRow,
     ParameterEntry,
     ReferenceValueEntry,
     ReflectorEntry,
-    StationPose as StationPose,
+    StationPose,
+    VerdictEntry,
 )
-from ltsim.calibration.uncertainty import HiddenError, uncertainty_sentences
+from ltsim.calibration.uncertainty import UncertaintyEntry, uncertainty_sentences
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import format_p, two_sided
-from ltsim.core.results import Column, Result, Table, columns_of, numbers, texts
-from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.core.results import Table
 from ltsim.physics.effects.signature import Parameter
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import Finite, ResultFile
 
 EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
-SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
-"""Unit of each column of the readings where a person reads it."""
-
-PARAMETERS = Table(
-    "parameters.csv",
-    "estimates of the instrument's parameters, each in its unit",
-    columns_of(
-        ParameterEntry,
-        "name instrument value sigma unit prior_sigma held applied",
-        value={"sigma": "sigma"},
-        prior_sigma={"shown": ".3g"},
-        name={"name": "parameter"},
-    ),
-)
-REFERENCE_VALUES = Table(
-    "reference_values.csv", "reference values, each tested by the rest", columns_of(ReferenceValueEntry)
-)
-OUTLIERS = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
-NOISE = Table(
-    "noise.csv",
-    "noise estimated from the readings",
-    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
-)
-REFLECTORS = Table(
-    "reflectors.csv",
-    "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
-    (
-        *texts(reflector="its name; empty where the recording names none", parameter="as `ltsim effects` lists it"),
-        *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
-    ),
-)
-STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 SHARPER = 0.975
 """A parameter counts as better known than before if its sigma over its prior sigma is below this: the readings then
 removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
@@ -88,127 +59,204 @@ MOSTLY = 0.9
 redundancy is then 1 by construction."""
 
 
-@dataclass(frozen=True, repr=False)
-class Calibration(Result):
-    """Instrument parameters with their covariance, and the adjusted network.
+DERIVED = frozenset(
+    ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
+     "noise_estimated")
+)  # fmt: skip
+"""Fields that another calibration does not take over: they follow from its arrays, or are set when it is written."""
 
-    Attributes without a docstring are documented in `CalibrationFile`.
+
+def _none_if_empty(value: Any) -> Any:
+    """The value itself, None for an empty table."""
+    return value or None
+
+
+class Calibration(UncertaintyEntry, ResultFile):
+    """`calibration.json`: the result of `calibrate` and `adjust`.
+
+    Name, value and unit of the parameters are enough to apply it.
     """
 
-    method: str
-    """`network`, `distance`, `distance-l1`; `adjustment` for a network without instrument parameters."""
-    construction: Construction
-    instruments: tuple[str, ...]
-    """Names of the instruments; a single unnamed instrument is called ''."""
-    values: Floats
-    prior_sigma: Floats
-    """(I, p) [SI] each."""
-    covariance: Floats
-    """Zero for parameters that were held, (I p, I p) [SI]."""
-    fit: Fit
-    undetermined: tuple[Combination, ...]
-    frame: str
-    stations: tuple[StationPose, ...]
-    targets: tuple[str, ...] = ()
-    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """(T, 3) [m]."""
-    target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """(T, 3, 3) [m^2]."""
-    criteria: Criteria | None = None
-    """Criteria of the paper; None for a single station, which has no comparison."""
+    FILE: ClassVar[str] = "calibration.json"
+    format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
+    """Format and version of this file."""
+    method: str = "network"
+    """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`; `adjustment` without parameters."""
+    construction_name: str = Field(alias="construction")
+    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
+    fit: Fit = Fit()
+    """Agreement of readings and model."""
+    frame: str = ""
+    """The frame of all coordinates."""
+    parameters: tuple[ParameterEntry, ...]
+    """Estimates."""
+    parameter_covariance: tuple[tuple[Finite, ...], ...] = Field(default=(), alias="covariance")
+    """Covariance of the parameters, in their order and units."""
+    harmonics: tuple[HarmonicEntry, ...] = ()
+    """Cosines and sines as amplitude and phase."""
+    undetermined: tuple[Combination, ...] = ()
+    """Combinations of parameters that the recording does not determine."""
+    determined: tuple[DeterminedEntry, ...] = ()
+    """Combinations of parameters that the recording determines far better than each of their members."""
+    stations: tuple[StationPose, ...] = ()
+    """Poses."""
+    criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
+    """The paper's criteria before and after; empty for a single station, which has no comparison."""
     outliers: tuple[OutlierRow, ...] = ()
-    verdict: Verdict | None = None
-    """Verdict on the test to trust where tests disagree; None for the distance methods and for results from a file."""
-    robust: bool = False
-    noise: tuple[NoiseRow, ...] = ()
-    reference_values: tuple[ReferenceValueEntry, ...] = ()
-    undetermined_targets: tuple[str, ...] = ()
-    axes: AxesEntry | None = None
-    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Parameters that were not estimated but held at their value, (I, p)."""
-    prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Parameters whose prior the readings contradict, and whose estimate follows them, (I, p)."""
-    history_prior: bool = False
-    null_space: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    """Combinations, in prior sigmas, that a distance method did not estimate: they stay at zero, (k, I p)."""
-    correction: Correction | None = None
-    applied_values: Floats | None = None
-    """Parameters to apply to readings; None where these are the estimates, (I, p) [SI]."""
-    effects: tuple[FittedEffectEntry, ...] = ()
-    reflectors: tuple[ReflectorEntry, ...] = ()
-    constants_included: bool = True
-    with_constants: Fit | None = None
-    uncertainty_factor: float = 1.0
-    air: str = ""
-    hidden: tuple[HiddenError, ...] = ()
-    notes: tuple[str, ...] = ()
+    """Outlying readings."""
     tests: tuple[Test, ...] = ()
-    recording: SourceEntry | None = None
-    adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
-    """The adjusted network; None for a calibration that was read from a file."""
+    """Test table: simple causes that the readings support, and outliers; all statements on misfit come from it."""
+    robust: bool = False
+    """Outlying readings were excluded."""
+    noise: tuple[NoiseRow, ...] = ()
+    """Noise estimated from the readings, one entry a group."""
+    with_constants: Fit | None = None
+    """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
+    noise_estimated: bool = False
+    """The noise was estimated from the readings, and used."""
+    verdict: VerdictEntry = VerdictEntry()
+    """Verdict on the test to trust."""
+    reference_values: tuple[ReferenceValueEntry, ...] = ()
+    """Reference coordinates, lengths and levels, each tested by the rest."""
+    undetermined_targets: tuple[str, ...] = ()
+    """Targets that their readings do not determine."""
+    axes: AxesEntry | None = None
+    """Standard deviations of the axes, where declared coordinates define them (`--frame`)."""
+    correction: Correction | None = None
+    """Correction that is worth applying; null where it was not requested."""
+    effects: tuple[FittedEffectEntry, ...] = ()
+    """Effects that were estimated with the parameters (`--with`)."""
+    reflectors: tuple[ReflectorEntry, ...] = ()
+    """Incidence errors of reflectors in fixed nests."""
+    history_prior: bool = False
+    """Earlier calibrations were the prior."""
+    notes: tuple[str, ...] = ()
+    """Notes on how the result was obtained, one sentence each."""
+    _arrays: CalibrationArrays | None = PrivateAttr(None)
+    _warnings: tuple[str, ...] = PrivateAttr(())
 
-    def __post_init__(self) -> None:
-        for name in ("held", "prior_rejected"):
-            if getattr(self, name).shape != self.values.shape:
-                object.__setattr__(self, name, np.zeros(self.values.shape, dtype=bool))
+    @model_validator(mode="after")
+    def _covariance_is_square(self) -> Self:
+        count = len(self.parameters)
+        rows = self.parameter_covariance
+        if rows and {len(rows), *map(len, rows)} != {count}:
+            raise ValueError(f"the covariance is not a square of {count} x {count} numbers")
+        return self
+
+    @field_serializer("criteria")
+    def _empty_without_criteria(self, criteria: CriteriaEntry | None) -> CriteriaEntry | dict[str, Any]:
+        return {} if criteria is None else criteria
+
+    @classmethod
+    def of(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
+        """The calibration of arrays with further fields; those that follow from the arrays are made here."""
+        factors = np.tile([p.factor for p in arrays.construction.parameters], len(arrays.instruments))
+        defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
+        fields = {name: value for name, value in defaults.items() if name not in DERIVED} | fields
+        bayes = fields["method"] == "network" and not fields["history_prior"]
+        applied = arrays.values if fields["correction"] is None else arrays.applied_values
+        derived = {
+            "construction_name": arrays.construction.name,
+            "parameters": _parameters(arrays, arrays.values if applied is None else applied),
+            "parameter_covariance": (arrays.covariance / np.outer(factors, factors)).tolist(),
+            "harmonics": _of_each(arrays, harmonics),
+            "determined": _of_each(arrays, determined, by_plausible_sizes if bayes else None),
+            "noise_estimated": _is_estimated(fields["noise"]),
+        }
+        made = cls(**fields, **derived)
+        made._arrays = arrays
+        return made
+
+    def with_changes(self, **changes: Any) -> Self:
+        """The calibration with other fields or arrays."""
+        named = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
+        arrays = replace(self.arrays, **{name: changes.pop(name) for name in named})
+        fields = {name: getattr(self, name) for name in type(self).model_fields if name not in DERIVED}
+        return type(self).of(arrays, **{**fields, **changes})
+
+    def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
+        """The calibration with the arrays of its parameters, and warnings for those who apply it."""
+        made = self.model_copy()
+        made._arrays, made._warnings = arrays, warnings
+        return made
 
     @property
-    def prior_used(self) -> Floats:
-        """Standard deviations (I, p) [SI] of the prior that the estimates had."""
-        return np.where(self.prior_rejected, FREED, 1.0) * self.prior_sigma
+    def arrays(self) -> CalibrationArrays:
+        """The parameters and the network as arrays in SI units; raises RecordError for a file that has wrong ones."""
+        if self._arrays is None:
+            self._arrays, _ = arrays_from(self.construction_name, self.parameters, self.parameter_covariance, self.FILE)
+        return self._arrays
 
-    @cached_property
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings to heed before a calibration that was read from a file is applied."""
+        return self._warnings
+
+    @property
+    def construction(self) -> Construction:
+        """Construction whose parameters were estimated."""
+        return self.arrays.construction
+
+    @property
+    def instruments(self) -> tuple[str, ...]:
+        """Names of the instruments; a single unnamed instrument is called ''."""
+        return self.arrays.instruments
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
+        return self.construction.names_of(self.instruments)
+
+    @property
+    def values(self) -> Floats:
+        """Estimates (I, p) [SI]."""
+        return self.arrays.values
+
+    @property
     def sigma(self) -> Floats:
-        """Standard deviations (I, p) of the parameters [SI]."""
-        return np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
-
-    @cached_property
-    def determined(self) -> tuple[DeterminedEntry, ...]:
-        """Combinations of parameters that are determined far better than each of them."""
-        bayes = self.method == "network" and not self.history_prior
-        return self._of_each(determined, by_plausible_sizes if bayes else None)
-
-    @cached_property
-    def harmonics(self) -> tuple[HarmonicEntry, ...]:
-        """Every pair of a cosine and a sine coefficient as amplitude and phase."""
-        return self._of_each(harmonics)
-
-    def _of_each(
-        self,
-        entries_of: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
-        estimates_of: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
-    ) -> tuple[EntryT, ...]:
-        """Entries of each instrument by its values and covariance, as transformed by `estimates_of` if given."""
-        several, size = len(self.instruments) > 1, self.construction.size
-        rows: list[EntryT] = []
-        parameters = self.construction.parameters
-        for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
-            covariance = self.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]
-            if estimates_of is not None:
-                values, covariance = estimates_of(parameters, values, covariance, self.prior_used[i])
-            entries = entries_of(parameters, values, covariance)
-            rows += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
-        return tuple(rows)
+        """Standard deviations (I, p) of the estimates [SI]."""
+        return self.arrays.sigma
 
     @property
-    def bias_operator(self) -> Floats:
-        """Bias operator (I p, I p), in prior sigmas: the expected error of the estimates is -bias_operator @ truth."""
-        if self.method == "network":
-            unit = self.prior_sigma.ravel()
-            return self.covariance / np.outer(unit, unit)
-        return self.null_space.T @ self.null_space
+    def prior_sigma(self) -> Floats:
+        """Prior standard deviations (I, p) [SI]."""
+        return self.arrays.prior_sigma
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (I p, I p) of the estimates [SI]."""
+        return self.arrays.covariance
+
+    @property
+    def held(self) -> Bools:
+        """Mask (I, p) of the parameters that were not estimated but held at their value."""
+        return self.arrays.held
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets; none for a calibration that was read from a file."""
+        return self.arrays.targets
+
+    @property
+    def points(self) -> Floats:
+        """Coordinates (T, 3) of the targets [m]."""
+        return self.arrays.points
+
+    @property
+    def target_covariance(self) -> Floats:
+        """Covariance (T, 3, 3) of each target [m^2]."""
+        return self.arrays.target_covariance
+
+    @property
+    def adjustment(self) -> Adjustment | None:
+        """The adjusted network; None for a calibration that was read from a file."""
+        return self.arrays.adjustment
 
     @property
     def applied(self) -> Floats:
         """Parameters (I, p) [SI] to take out of readings."""
-        return self.values if self.correction is None or self.applied_values is None else self.applied_values
-
-    @property
-    def noise_estimated(self) -> bool:
-        """True if the noise was estimated from the same readings, so that the global test is void."""
-        whole = sum(n.redundancy for n in self.noise)
-        estimated = sum(n.redundancy for n in self.noise if n.factor_sigma is not None)
-        return estimated > MOSTLY * whole
+        applied = self.arrays.applied_values
+        return self.values if self.correction is None or applied is None else applied
 
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
@@ -216,8 +264,8 @@ class Calibration(Result):
         test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
         sharper = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
         lines = [
-            f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",
-            f"{len(self.stations)} stations and {len(self.targets)} targets in {self.frame}",
+            f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}",
+            f"{len(self.stations)} stations{f' and {len(self.targets)} targets' * bool(self.targets)} in {self.frame}",
         ]
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
@@ -231,7 +279,7 @@ class Calibration(Result):
         if self.correction is not None and self.correction.uncorrected_um > 0:
             promised = self.uncertainty_factor == 1.0
             lines += [*([self.correction.line] if promised else []), *self.correction.sentences]
-        return [*lines, *uncertainty_sentences(self), *self.notes]
+        return [*lines, *uncertainty_sentences(self), *self.notes, *self.warnings]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         tables: dict[str, Callable[[], Table]] = {
@@ -250,41 +298,13 @@ class Calibration(Result):
             tables["residuals"] = lambda: residuals_table(adjustment)
         return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
 
-    @cached_property
-    def parameters(self) -> tuple[ParameterEntry, ...]:
-        """The estimates in the units a person reads."""
-        several = len(self.instruments) > 1
-        named: list[dict[str, Any]] = [{"instrument": name} if several else {} for name in self.instruments]
-        return tuple(
-            ParameterEntry(
-                name=parameter.name,
-                value=float(self.values[i, k] / parameter.factor),
-                sigma=float(self.sigma[i, k] / parameter.factor),
-                unit=parameter.unit,
-                prior_sigma=float(self.prior_sigma[i, k] / parameter.factor),
-                held=bool(self.held[i, k]),
-                prior_rejected=bool(self.prior_rejected[i, k]),
-                **self._applied(i, k),
-                **named[i],
-            )
-            for i in range(len(self.instruments))
-            for k, parameter in enumerate(self.construction.parameters)
-        )
-
-    def _applied(self, instrument: int, parameter: int) -> dict[str, Any]:
-        """The applied value in the parameter's unit where it is not the estimate."""
-        value, applied = self.values[instrument, parameter], self.applied[instrument, parameter]
-        factor = self.construction.parameters[parameter].factor
-        near = SAME * max(abs(value), self.sigma[instrument, parameter])
-        return {} if abs(applied - value) <= near else {"applied": float(applied / factor)}
-
     def _stations(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
         return STATIONS.filled(
             [s.name, *s.position_mm, *sigmas] for s, sigmas in zip(self.stations, sigma, strict=True)
         )
 
-    @cached_property
+    @property
     def applied_reflectors(self) -> dict[str, Floats]:
         """Parameters (14,) [SI] of `smr-incidence` to take out of readings, by the reflector's name.
 
@@ -298,25 +318,10 @@ class Calibration(Result):
             for name, values in sizes.items()
         }
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
-        return self.construction.names_of(self.instruments)
-
-    def part(self, instrument: int, keep: Ints) -> Calibration:
+    def part(self, instrument: int, keep: Ints) -> Self:
         """Calibration of one instrument with the parameters `keep` (k,), without a correction."""
-        row, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
-        return replace(
-            self,
-            construction=self.construction.only(keep),
-            instruments=self.instruments[row],
-            values=self.values[row, keep],
-            prior_sigma=self.prior_sigma[row, keep],
-            covariance=self.covariance[np.ix_(at, at)],
-            held=self.held[row, keep],
-            prior_rejected=self.prior_rejected[row, keep],
-            correction=None,
-        )
+        fields = {name: getattr(self, name) for name in type(self).model_fields if name not in DERIVED}
+        return type(self).of(self.arrays.part(instrument, keep), **{**fields, "correction": None})
 
     def values_for(self, recording: Recording) -> Floats:
         """Parameters to apply (p,) or, where instruments differ, (n, p) of each pointing of a recording.
@@ -340,22 +345,49 @@ class Calibration(Result):
         return self.applied[at[recording.instrument]]
 
 
-def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
-    """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row, or no height alone."""
-    sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
-    cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
-    placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
-    return TARGETS.filled([names[i], *cells[i].tolist()] for i in placed)
+def _parameters(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEntry, ...]:
+    """Estimates in the units that a person reads; `applied` (I, p) [SI] is written where it is not the estimate."""
+    several = len(arrays.instruments) > 1
+    entries = []
+    for i, instrument in enumerate(arrays.instruments):
+        for k, parameter in enumerate(arrays.construction.parameters):
+            value, sigma, factor = arrays.values[i, k], arrays.sigma[i, k], parameter.factor
+            differs = abs(applied[i, k] - value) > SAME * max(abs(value), sigma)
+            entry = ParameterEntry(
+                name=parameter.name,
+                value=float(value / factor),
+                sigma=float(sigma / factor),
+                unit=parameter.unit,
+                prior_sigma=float(arrays.prior_sigma[i, k] / factor),
+                held=bool(arrays.held[i, k]),
+                prior_rejected=bool(arrays.prior_rejected[i, k]),
+            )
+            further = {"applied": float(applied[i, k] / factor)} if differs else {}
+            named = {"instrument": instrument} if several else {}
+            entries.append(entry.model_copy(update={**further, **named}))
+    return tuple(entries)
 
 
-def residuals_table(adjustment: Adjustment) -> Table:
-    """Table of residuals: a row per observation in use, numbered from 1."""
-    recording = adjustment.recording
+def _of_each(
+    arrays: CalibrationArrays,
+    entries_of: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
+    estimates_of: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
+) -> tuple[EntryT, ...]:
+    """Entries of each instrument by its values and covariance, as transformed by `estimates_of` if given."""
+    several, size = len(arrays.instruments) > 1, arrays.construction.size
+    rows: list[EntryT] = []
+    parameters = arrays.construction.parameters
+    for i, (name, values) in enumerate(zip(arrays.instruments, arrays.values, strict=True)):
+        covariance = arrays.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]
+        if estimates_of is not None:
+            values, covariance = estimates_of(parameters, values, covariance, arrays.prior_used[i])
+        entries = entries_of(parameters, values, covariance)
+        rows += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
+    return tuple(rows)
 
-    def row(i: int, k: int) -> list[object]:
-        unit, factor = SHOWN_UNITS[k]
-        names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        size = adjustment.residuals[i, k] / factor, unit, adjustment.redundancy[i, k], adjustment.w[i, k]
-        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
 
-    return RESIDUALS.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.use).tolist())
+def _is_estimated(noise: Sequence[NoiseRow]) -> bool:
+    """True if the noise was estimated from the same readings, so that the global test is void."""
+    whole = sum(n.redundancy for n in noise)
+    estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
+    return estimated > MOSTLY * whole

@@ -2,6 +2,7 @@
 
 from pydantic import Field
 
+from ltsim.core.results import Column, Table, texts
 from ltsim.recordings.result_file import Entry, Finite, NonZero, OptionalFloat
 
 
@@ -39,3 +40,13 @@ class DeterminedEntry(Terms):
     """Unit of value and standard deviation."""
     instrument: str = ""
     """Name of the instrument, where there are several."""
+
+
+UNDETERMINED = Table(
+    "undetermined.csv",
+    "combinations of parameters that are not determined",
+    (
+        *texts(combination="coefficients, in units of the prior sigma", determined_by="the measurement that would"),
+        Column("information_percent", "share of the prior variance that the readings removed", shown=".1f"),
+    ),
+)

@@ -12,11 +12,14 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration import result
-from ltsim.calibration.calibration import Calibration, Combination, Fit
+from ltsim.calibration.arrays import CalibrationArrays
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.combinations import Combination
 from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, solve_equation_9, with_minimum
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.calibration.prior_information import Choice
+from ltsim.calibration.schema import Fit
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, State
@@ -72,8 +75,7 @@ def calibrate_distance(
     pose = adjustment.pose_covariance + added[unknowns.pose[:, :, None], unknowns.pose[:, None, :]]
     scale = prior.ravel()
     null_space = np.array([d.vector for d in estimate.undetermined]).reshape(-1, len(scale))
-    return Calibration(
-        method=method,
+    arrays = CalibrationArrays(
         construction=built,
         instruments=recording.instruments,
         values=values,
@@ -81,20 +83,24 @@ def calibrate_distance(
         covariance=estimate.covariance * np.outer(scale, scale),
         null_space=null_space,
         held=held,
-        fit=_fit(propagation),
-        undetermined=_undetermined(adjustment, built, estimate, advise=advise),
-        frame=result.frame_of(adjustment),
-        stations=result.stations_of(adjustment, pose),
         targets=recording.targets,
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
+        adjustment=adjustment,
+    )
+    return Calibration.of(
+        arrays,
+        method=method,
+        fit=_fit(propagation),
+        undetermined=_undetermined(adjustment, built, estimate, advise=advise),
+        frame=result.frame_of(adjustment),
+        stations=result.stations_of(adjustment, pose),
         criteria=result.criteria_of(recording, adjustment, built, values, reflectors=False),
         outliers=result.outliers_of(adjustment),
         undetermined_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
         recording=source,
         notes=(*result.notes_on_modes(adjustment), *notes),
-        adjustment=adjustment,
     )
 
 

@@ -10,11 +10,12 @@ is the mean over `SHARES`, each weighted by how likely it makes the other steps.
 """
 
 import numpy as np
+from pydantic import Field
 from scipy import special
 
-from ltsim.calibration.history import LEVEL, History
-from ltsim.calibration.history_schema import EventEntry
+from ltsim.calibration.calibration_series import LEVEL, CalibrationSeries
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 LEAST_STEPS = 3
 """Events are tested if there are at least this many steps: the t-test then has two degrees of freedom."""
@@ -25,12 +26,33 @@ SHARES = np.linspace(0.0, 1.0, 5)
 """Shares of the variance of usual steps that grow with the days between them, averaged over by their likelihood."""
 
 
-def can_tell(history: History) -> bool:
+class EventEntry(Entry):
+    """A step of one parameter that is an outlier among its steps between calibrations."""
+
+    from_: str = Field(alias="from")
+    """The earlier calibration."""
+    to: str
+    """The later one."""
+    name: str
+    """Name of the parameter."""
+    difference: Finite
+    """Later minus earlier."""
+    sigma: NotNegative
+    """Standard deviation of the difference."""
+    usual: NotNegative
+    """Standard deviation of its other steps from one calibration to the next, without that of the estimates."""
+    unit: str
+    """Unit of `difference`, `sigma` and `usual`."""
+    p_value: Finite
+    """p-value of the step, corrected for all steps and parameters."""
+
+
+def can_tell(history: CalibrationSeries) -> bool:
     """True if there are enough steps to test them for events."""
     return len(history) > LEAST_STEPS
 
 
-def events(history: History) -> tuple[EventEntry, ...]:
+def events(history: CalibrationSeries) -> tuple[EventEntry, ...]:
     """Significant steps in the order of time; none where there are too few to test.
 
     p-values are corrected for all steps and parameters (Bonferroni).
@@ -59,7 +81,7 @@ def events(history: History) -> tuple[EventEntry, ...]:
     )
 
 
-def _growth(history: History) -> Floats:
+def _growth(history: CalibrationSeries) -> Floats:
     """Days of each step over their median; ones where they are not known."""
     between = np.diff(history.days) if history.days is not None else np.zeros(0)
     middle = float(np.median(between)) if len(between) else 0.0

@@ -1,320 +1,220 @@
-"""Calibrations of one instrument over time: the course of its parameters, and whether it has changed.
+"""Result of `history`: the course of the parameters of an instrument over its calibrations, and its changes."""
 
-Two calibrations that share a prior are not independent: without information both give the prior's zero, and
-their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
-unchanged instrument would give, drawn from the prior and measured anew each time.
-"""
-
-from __future__ import annotations
-
-import datetime
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from scipy import linalg, special
+from pydantic import Field, PrivateAttr, model_validator
 
-from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
-from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
-from ltsim.calibration.history_schema import ChangeEntry, ChiSquareEntry, DifferenceEntry
-from ltsim.core.arrays import Floats
-from ltsim.core.errors import RecordError, option
+from ltsim.calibration.calibration_series import LEVEL, CalibrationSeries, ChangeEntry, ChiSquareEntry
+from ltsim.calibration.events import EventEntry, events
+from ltsim.calibration.schema import Fit
+from ltsim.core.errors import ModelError
+from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Columns, Result
-from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction
-
-RESOLVED = 1e-12
-"""Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
-variances."""
-ROUNDS, SETTLED = 2000, 1e-4
-LEVEL = 0.01
-"""A parameter is reported as changed at this family-wise level (Holm over the parameters of two calibrations)."""
+from ltsim.core.results import Column, Columns, Table, columns_of, texts
+from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
-@dataclass(frozen=True)
-class Population(ValueEquality):
-    """Mean of an instrument's parameters, and their spread from one calibration to the next."""
+class CourseEntry(Entry):
+    """Course of a parameter over the calibrations, in its display unit."""
 
-    mean: Floats
-    """(p,) [SI]."""
-    covariance: Floats
-    """(p, p) [SI], of the mean."""
-    spread: Floats
-    """Standard deviation of the parameters themselves between calibrations, without that of their estimates, (p,) [SI].
-    """
+    name: str
+    """Name of the parameter."""
+    unit: str = ""
+    """Unit of all numbers of the entry."""
+    values: tuple[Finite, ...]
+    """Estimates, one a calibration."""
+    sigmas: tuple[NotNegative, ...]
+    """Standard deviations of the estimates, one a calibration."""
+    prior_sigma: OptionalFloat = None
+    """Prior standard deviation of the parameter."""
+    mean: Finite
+    """Weighted mean of the estimates."""
+    spread: Finite
+    """Standard deviation over the calibrations."""
+    constant: ChiSquareEntry
+    """Test that it did not change."""
 
 
-@dataclass(frozen=True, repr=False)
-class History(Result):
-    """Calibrations of one instrument in the order of time."""
+class CalibrationOf(Entry):
+    """Calibration of a history."""
 
-    labels: tuple[str, ...]
-    """Labels, one per calibration."""
-    calibrations: tuple[Calibration, ...]
-    """Each of one instrument, all with the same construction."""
-    days: Floats | None = None
-    """Days since the first; None where not all are dated, (K,)."""
+    label: str
+    """Name of the calibration in the report."""
+    fit: Fit
+    """Agreement of readings and model."""
+
+
+CHANGES = Table(
+    "changes.csv",
+    "changes of an instrument between its calibrations",
+    (
+        *texts(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
+        Column("chi2", "weighted sum of squares of the differences", shown=".1f"),
+        Column("parameters", "degrees of freedom"),
+        Column("p_value", "of such differences without a change", "chance", title="p"),
+    ),
+)
+COURSES = Table(
+    "parameters.csv",
+    "parameters that the calibrations determine",
+    (
+        *texts(parameter="name"),
+        Column("last", "estimate of the last calibration", sigma="sigma_last"),
+        Column("sigma_last", "its standard deviation"),
+        *texts(unit="of all numbers of the row"),
+        Column("mean", "weighted mean of the estimates", digits=3),
+        Column("spread", "standard deviation over the calibrations", digits=3),
+        Column("p_constant", "of the test that it did not change", "chance"),
+    ),
+)
+FITS = Table(
+    "fits.csv",
+    "agreement of readings and model of each calibration",
+    (
+        *texts(calibration="label"),
+        Column("chi2", "weighted sum of squares", digits=3),
+        Column("degrees_of_freedom", "of the fit"),
+        Column("sigma0", "standard deviation of unit weight", digits=3),
+    ),
+)
+EVENTS = Table(
+    "events.csv",
+    "steps of parameters that are outliers among their steps between calibrations",
+    columns_of(
+        EventEntry,
+        "from_ to name difference sigma usual unit p_value",
+        from_={"name": "from"},
+        name={"name": "parameter"},
+        difference={"name": "step", "sigma": "sigma"},
+        usual={"name": "usual_step"},
+        p_value={"kind": "chance", "title": "p"},
+    ),
+)
+
+
+class History(ResultFile):
+    """`history.json`: the result of `history`."""
+
+    FILE: ClassVar[str] = "history.json"
+    format: Literal["ltsim-history/1"] = "ltsim-history/1"
+    """Format and version of this file."""
+    construction: str = ""
+    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
+    calibrations: tuple[CalibrationOf, ...] = Field(min_length=1)
+    """Calibrations in the order of time."""
+    parameters: tuple[CourseEntry, ...] = ()
+    """Each over the calibrations."""
+    mean_covariance: tuple[tuple[Finite, ...], ...] = ()
+    """Covariance of the means, in the parameters' units; combinations that no calibration determines keep the prior."""
+    constant: ChiSquareEntry | None = None
+    """Test that nothing changed."""
+    changes: tuple[ChangeEntry, ...] = ()
+    """Changes between successive calibrations."""
+    events: tuple[EventEntry, ...] = ()
+    """Significant steps; empty also where there are too few calibrations to test them."""
+    since_first: ChangeEntry
+    """Change between the first and the last calibration."""
+    _series: CalibrationSeries | None = PrivateAttr(None)
 
     @classmethod
-    def of(
-        cls,
-        named: Sequence[tuple[str, Calibration]],
-        instrument: str | None = None,
-        dates: Sequence[str] | None = None,
-    ) -> History:
-        """A history of labelled calibrations; `instrument` chooses where a calibration holds several.
-
-        `dates` (ISO form, one a calibration) stand in for those of the recordings behind them.
-
-        Raises
-        ------
-        RecordError
-            When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
-            uncertainty, or the dates are none or out of order.
-        """
-        if len(named) < 2:
-            raise RecordError(f"the history has {len(named)} calibration(s); expected at least two to compare")
-        if len({c.construction.names for _, c in named}) > 1:
-            raise RecordError("the calibrations hold different parameters, expected one construction for all")
-        if not named[0][1].construction.size:
-            raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
-        for label, calibration in named:
-            if calibration.history_prior:
-                how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
-                raise RecordError(f"{how}; expected calibrations that are independent of each other")
-        chosen = _estimated([single_instrument(calibration, instrument, label) for label, calibration in named])
-        for (label, _), calibration in zip(named, chosen, strict=True):
-            unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
-            if len(unsure):
-                name = calibration.construction.names[unsure[0]]
-                raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
-        labels = tuple(label for label, _ in named)
-        declared = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
-        return cls(labels, chosen, days_of(labels, declared))
-
-    def __len__(self) -> int:
-        return len(self.labels)
+    def of(cls, series: CalibrationSeries) -> Self:
+        """The result of a series: parameters in the units a person reads, tests as chi-square."""
+        factors = np.array([p.factor for p in series.construction.parameters])
+        made = cls(
+            construction=series.construction.name,
+            calibrations=tuple(
+                CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+                for label, c in zip(series.labels, series.calibrations, strict=True)
+            ),
+            parameters=tuple(_course(series, k) for k in range(series.construction.size)),
+            mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
+            constant=series.constancy(),
+            changes=tuple(series.changes()),
+            events=events(series),
+            since_first=series.change(0, len(series) - 1),
+        )
+        made._series = series
+        return made
 
     @property
-    def construction(self) -> Construction:
-        """The construction all calibrations share."""
-        return self.calibrations[0].construction
+    def series(self) -> CalibrationSeries:
+        """The calibrations as arrays; raises ModelError for a history that was read from a file."""
+        if self._series is None:
+            raise ModelError("a history read from a file has no calibrations; call lt.history with them")
+        return self._series
 
-    @cached_property
-    def values(self) -> Floats:
-        """(K, p) [SI]."""
-        return np.array([c.values[0] for c in self.calibrations])
+    @property
+    def labels(self) -> list[str]:
+        """Labels of the calibrations."""
+        return [calibration.label for calibration in self.calibrations]
 
-    @cached_property
-    def sigma(self) -> Floats:
-        """(K, p) standard deviations [SI]."""
-        return np.array([c.sigma[0] for c in self.calibrations])
-
-    @cached_property
-    def prior_sigma(self) -> Floats:
-        """(p,) the widest prior sigma of each parameter [SI], the unit of all that is computed here."""
-        return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
-
-    @cached_property
-    def _evidence(self) -> list[LikelihoodInformation]:
-        return [
-            likelihood_information(c.values[0], c.covariance, c.prior_used[0], self.prior_sigma)
-            for c in self.calibrations
-        ]
-
-    @cached_property
-    def _informative(self) -> Floats:
-        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations inform on average."""
-        remaining = np.mean([e.remaining for e in self._evidence], axis=0)
-        values, vectors = linalg.eigh(remaining)
-        return vectors[:, 1.0 - values > UNINFORMATIVE]
-
-    @cached_property
-    def _joint(self) -> Floats:
-        """Covariance (K, p, K, p) of the estimates of an unchanged instrument, in prior sigmas.
-
-        Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
-        """
-        remaining = np.array([e.remaining for e in self._evidence])
-        pull = np.array([e.remaining @ e.information for e in self._evidence])
-        joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
-        for i in range(len(self)):
-            joint[i, :, i] += pull[i] @ remaining[i]
-        return joint
+    @property
+    def determined(self) -> list[CourseEntry]:
+        """Parameters that the calibrations determine."""
+        return [course for course in self.parameters if course.constant.dof]
 
     def _lines(self) -> list[str]:
-        since = self.change(0, len(self) - 1)
+        since, labels = self.since_first, self.labels
         return [
-            f"History: {len(self)} calibrations, {self.labels[0]} to {self.labels[-1]}",
+            f"History: {len(labels)} calibrations, {labels[0]} to {labels[-1]}",
             f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {format_p(since.p_value)}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"values": lambda: self._course(self.values), "sigmas": lambda: self._course(self.sigma)}
+    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+        return {
+            "values": lambda: self._by_calibration([course.values for course in self.parameters]),
+            "sigmas": lambda: self._by_calibration([course.sigmas for course in self.parameters]),
+            "changes": self._changes,
+            "events": lambda: EVENTS.filled(self.events),
+            "parameters": self._parameters,
+            "fits": lambda: FITS.filled([c.label, c.fit.chi2, c.fit.dof, c.fit.sigma0] for c in self.calibrations),
+        }
 
-    def _course(self, numbers: Floats) -> Columns:
+    def _by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> Columns:
         """Table with one row per calibration and one column per parameter."""
-        columns = {f"{p.name} [{p.unit}]": numbers[:, k] / p.factor for k, p in enumerate(self.construction.parameters)}
-        return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
+        columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, numbers, strict=True)}
+        return {"label": self.labels, **columns}
 
-    def change(self, first: int, second: int) -> ChangeEntry:
-        """Change from calibration number `first` to number `second`: later minus earlier, each with its p-value.
-
-        Parameters that changed are identified by Holm's procedure at `LEVEL`; the p-value of an undetermined one is 1.
-        """
-        contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
-        contrast[0, [first, second]] = -1.0, 1.0
-        gap, spread = self._contrasted(contrast, np.eye(len(parameters)))
-        sigma = np.sqrt(np.where(self._gain > UNINFORMATIVE, np.diag(spread), 0.0))
-        z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
-        chances = 2.0 * special.ndtr(-np.abs(z))
-        order = np.argsort(chances)
-        holds = chances[order] > LEVEL / np.arange(len(order), 0, -1)
-        changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
-        unit = self.prior_sigma / [p.factor for p in parameters]
-        test: dict[str, Any] = _test(*self._contrasted(contrast, self._informative)).model_dump()
-        return ChangeEntry(
-            **test | {"from": self.labels[first], "to": self.labels[second]},
-            changed=tuple(parameters[k].name for k in changed),
-            parameters=tuple(
-                DifferenceEntry(
-                    name=p.name, difference=gap[k] * scale, sigma=sigma[k] * scale, unit=p.unit, p_value=chance
-                )
-                for k, (p, scale, chance) in enumerate(zip(parameters, unit, chances, strict=True))
-            ),
+    def _changes(self) -> Table:
+        """Changes from each calibration to the next, and from the first to the last."""
+        every = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
+        return CHANGES.filled(
+            [
+                c.from_,
+                c.to,
+                listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
+                c.chi2,
+                c.dof,
+                c.p_value,
+            ]
+            for c in every
         )
 
-    @cached_property
-    def _gain(self) -> Floats:
-        """Mean share (p,) of each parameter's prior variance that the readings removed."""
-        return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
-
-    def changes(self) -> list[ChangeEntry]:
-        """Each calibration against the one before."""
-        return [self.change(i, i + 1) for i in range(len(self) - 1)]
-
-    def constancy(self, parameter: int | None = None) -> ChiSquareEntry:
-        """Test that one set of values explains all calibrations: of all parameters, or of one by its index."""
-        contrast = np.diff(np.eye(len(self)), axis=0)
-        if parameter is None:
-            return _test(*self._contrasted(contrast, self._informative))
-        if not self._gain[parameter] > UNINFORMATIVE:
-            return ChiSquareEntry.of(0.0, 0)
-        return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
-
-    def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
-        """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
-        values = contrast @ (self.values / self.prior_sigma) @ combination
-        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint, combination, optimize=True)
-        spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
-        return values.ravel(), spread.reshape(values.size, values.size)
-
-    @cached_property
-    def population(self) -> Population:
-        """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
-
-        By expectation-maximisation with the mean as an unknown (Patterson and Thompson, Biometrika 58 (1971) 545), so
-        that estimating the mean from the same few calibrations does not bias the spread. The mean keeps the prior for
-        combinations that no calibration informs. The spread of a parameter that no calibration informs is the prior
-        sigma.
-        """
-        information = np.array([e.information for e in self._evidence])
-        vectors = np.array([e.information_vector for e in self._evidence])
-        identity, variance = np.eye(self.construction.size), np.ones(self.construction.size)
-        mean, of_mean = np.zeros(self.construction.size), identity
-        for _ in range(ROUNDS):
-            # With N and V: weight of the mean in an estimate, covariance of the estimate, covariance of the mean.
-            keeps = np.linalg.inv(identity + variance[:, None] * information)
-            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + identity)
-            mean = of_mean @ np.einsum("kba,kb->a", keeps, vectors)
-            single = np.einsum("kab,kb->ka", keeps, variance * vectors + mean)
-            deviation = keeps - identity
-            remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
-            spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
-            spread = np.maximum(spread, RESOLVED)
-            settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
-            variance = spread
-            if settled:
-                break
-        silent = self._gain < UNINFORMATIVE
-        mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
-        unit = self.prior_sigma
-        return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
-
-    def as_prior_of(self, calibration: Calibration) -> Calibration:
-        """Calibration with the history's population as its prior instead of the maker's.
-
-        For a calibration that is not part of the history. Parameters that hardly vary are taken from the history,
-        those that do from the calibration, each by its weight.
-        """
-        population, unit = self.population, self.prior_sigma
-        single = single_instrument(calibration, None, "the calibration")
-        spread = population.spread / unit
-        likelihood = likelihood_information(single.values[0], single.covariance, single.prior_used[0], unit)
-        covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
-        values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
-        return replace(
-            single,
-            values=(values * unit)[None],
-            covariance=covariance * np.outer(unit, unit),
-            prior_sigma=population.spread[None],
-            correction=None,
+    def _parameters(self) -> Table:
+        return COURSES.filled(
+            [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.spread, p.constant.p_value] for p in self.determined
         )
 
-
-def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
-    """The part of a calibration that belongs to one instrument, without its network.
-
-    Raises
-    ------
-    RecordError
-        When it holds several and none of them is named `instrument`.
-    """
-    names = calibration.instruments
-    if len(names) == 1:
-        return calibration
-    if instrument not in names:
-        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
-    return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
+    @model_validator(mode="after")
+    def _values_match_calibrations(self) -> Self:
+        count = len(self.calibrations)
+        for course in self.parameters:
+            if len(course.values) != count or len(course.sigmas) != count:
+                raise ValueError(f"the parameter {course.name} has not one value and one sigma a calibration")
+        return self
 
 
-def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
-    """Calibrations (of one instrument) with the parameters that none of them held; raises RecordError for none."""
-    held = np.any([c.held[0] for c in calibrations], axis=0)
-    if held.all():
-        raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
-    return tuple(c.part(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
-
-
-def _test(gap: Floats, spread: Floats) -> ChiSquareEntry:
-    """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
-    values, vectors = linalg.eigh(0.5 * (spread + spread.T))
-    resolved = values > RESOLVED * max(float(values[-1]), 0.0)
-    z = (vectors[:, resolved].T @ gap) / np.sqrt(values[resolved])
-    return ChiSquareEntry.of(float(z @ z), int(resolved.sum()))
-
-
-def days_of(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
-    """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
-    if len(dates) != len(labels):
-        problem = f"there are {len(dates)} dates for {len(labels)} calibrations"
-        raise RecordError(f"{problem}; expected one date per calibration")
-    declared = [date for date in dates if date]
-    if len(declared) < len(dates):
-        return None
-    try:
-        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in declared]
-    except ValueError:
-        problem = f"the dates {', '.join(declared)} are not all in ISO form"
-        raise RecordError(f"{problem}; expected dates such as 2026-05-31") from None
-    days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
-    back = np.flatnonzero(np.diff(days) < 0)
-    if len(back):
-        i = int(back[0])
-        message = f"{labels[i]} ({declared[i]}) is listed before {labels[i + 1]} ({declared[i + 1]})"
-        raise RecordError(f"{message}; expected calibrations in the order of time")
-    return days
+def _course(series: CalibrationSeries, k: int) -> CourseEntry:
+    parameter, population = series.construction.parameters[k], series.population
+    return CourseEntry(
+        name=parameter.name,
+        unit=parameter.unit,
+        values=(series.values[:, k] / parameter.factor).tolist(),
+        sigmas=(series.sigma[:, k] / parameter.factor).tolist(),
+        prior_sigma=series.prior_sigma[k] / parameter.factor,
+        mean=population.mean[k] / parameter.factor,
+        spread=population.spread[k] / parameter.factor,
+        constant=series.constancy(k),
+    )

@@ -17,12 +17,13 @@ from ltsim.adjustment.reference_tests import KINDS, SCALED
 from ltsim.adjustment.station_motions import Motion, moving_stations
 from ltsim.adjustment.stochastic_model import Grouping
 from ltsim.calibration import result
+from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
 from ltsim.calibration.prior_conflict import UNEXPLAINED, disagreement, noise_overstated, prior_rejected
 from ltsim.calibration.prior_information import WIDE, Choice
 from ltsim.calibration.reported import reported, uncertainty_factor
-from ltsim.calibration.schema import Fit
+from ltsim.calibration.schema import Fit, VerdictEntry
 from ltsim.calibration.shrinkage import correction_of
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.physics.effects.range_mode import RangeMode
@@ -92,20 +93,23 @@ def calibrate_network(
             break
         else:
             freed = further
-    calibration = replace(_calibration(recording, adjustment, "network", advise=advise, robust=robust), effects=fits)
-    calibration = replace(calibration, tests=() if selection is None else outcomes(selection))
+    tests = () if selection is None else outcomes(selection)
+    calibration = _calibration(
+        recording, adjustment, "network", advise=advise, robust=robust, effects=fits, tests=tests
+    )
+    changes: dict[str, Any] = {"prior_sigma": prior.sigma, "prior_rejected": freed, "history_prior": history_prior}
     if weigh:
         wider = WIDE if chosen.free else None
-        factor = uncertainty_factor(calibration.fit, calibration.verdict)
+        factor = uncertainty_factor(calibration.fit, by_estimate=calibration.verdict.scale_by_sigma0)
         worth, applied_values = correction_of(
             adjustment, calibration.names, history_prior=history_prior, wider=wider, factor=factor
         )
         criteria = result.criteria_of(adjustment.recording, adjustment, built, applied_values)
-        calibration = replace(calibration, correction=worth, applied_values=applied_values, criteria=criteria)
-    calibration = replace(calibration, prior_sigma=prior.sigma, prior_rejected=freed, history_prior=history_prior)
+        changes |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
+    calibration = calibration.with_changes(**changes)
     quiet = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
     notes = [*calibration.notes, *([quiet] if quiet_by else []), *disagreement(calibration)]
-    return replace(calibration, notes=tuple(notes))
+    return calibration.with_changes(notes=tuple(notes))
 
 
 def adjust(
@@ -148,15 +152,15 @@ def adjust(
     chosen = None if datum is None else names(datum)
     selection = identified(source)
     adjustment = _adjusted(source, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
-    calibration = _calibration(source, adjustment, "adjustment", advise=False, robust=robust)
-    tests = () if selection is None else outcomes(selection)
-    return reported(replace(calibration, tests=tests, with_constants=_fit_with_constants(adjustment)))
+    tests, constants = () if selection is None else outcomes(selection), _fit_with_constants(adjustment)
+    how = {"robust": robust, "tests": tests, "with_constants": constants}
+    return reported(_calibration(source, adjustment, "adjustment", advise=False, **how))
 
 
 def _fit_with_constants(adjustment: Adjustment) -> Fit | None:
     """Fit of rejected readings of uncorrected instruments with their constants estimated; None for others."""
     recording = adjustment.recording
-    if recording.is_corrected or uncertainty_factor(result.fit_of(adjustment), result.verdict_of(adjustment)) == 1.0:
+    if recording.is_corrected or _uncertainty_factor(adjustment) == 1.0:
         return None
     try:
         built = declared_construction(recording)
@@ -164,6 +168,10 @@ def _fit_with_constants(adjustment: Adjustment) -> Fit | None:
     except LtsimError:
         return None
     return result.fit_of(fitted) if fitted.solution.converged else None
+
+
+def _uncertainty_factor(adjustment: Adjustment) -> float:
+    return uncertainty_factor(result.fit_of(adjustment), by_estimate=result.verdict_of(adjustment).by_estimate)
 
 
 def _adapted(
@@ -240,7 +248,7 @@ def _moving(adjustment: Adjustment) -> tuple[Motion, ...]:
     return moving_stations(adjusted_network(adjustment.recording, built, robust=True))
 
 
-def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
+def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
     at = adjustment.problem.unknowns.instrument.ravel()
     held = adjustment.problem.prior.held
@@ -248,31 +256,34 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     covariance = np.where(free[:, None] & free, adjustment.reduced_covariance[at[:, None], at], 0.0)
     prior = adjustment.problem.prior.sigma
     values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
-    return Calibration(
-        method=method,
+    arrays = CalibrationArrays(
         construction=construction,
         instruments=recording.instruments,
         values=values,
         prior_sigma=prior,
         covariance=covariance,
         held=held,
+        targets=recording.targets,
+        points=adjustment.state.points,
+        target_covariance=adjustment.target_covariance,
+        adjustment=adjustment,
+    )
+    return Calibration.of(
+        arrays,
+        method=method,
         fit=result.fit_of(adjustment),
         undetermined=result.undetermined_of(adjustment, construction, directions, advise=advise),
         frame=result.frame_of(adjustment),
         stations=result.stations_of(adjustment),
-        targets=recording.targets,
-        points=adjustment.state.points,
-        target_covariance=adjustment.target_covariance,
         criteria=result.criteria_of(recording, adjustment, construction, values),
         reflectors=result.reflectors_of(adjustment),
         outliers=result.outliers_of(adjustment),
-        verdict=result.verdict_of(adjustment),
-        robust=robust,
+        verdict=VerdictEntry.of(result.verdict_of(adjustment)),
         noise=result.noise_of(adjustment),
         reference_values=result.reference_values_of(adjustment),
         undetermined_targets=adjustment.undetermined_targets,
         axes=result.axes_of(adjustment),
         recording=SourceEntry.of(source),
         notes=result.notes_on(adjustment),
-        adjustment=adjustment,
+        **fields,
     )

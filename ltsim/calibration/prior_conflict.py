@@ -84,7 +84,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
     """
     if not calibration.values.size or calibration.adjustment is None:
         return ()
-    prior, freed = calibration.adjustment.problem.prior, calibration.prior_rejected
+    prior, freed = calibration.adjustment.problem.prior, calibration.arrays.prior_rejected
     rows, size = list(zip(calibration.names, calibration.parameters, strict=True)), freed.shape[1]
     scale, lengths = max(1.0, calibration.adjustment.sigma0), len(calibration.adjustment.problem.gauge)
     instruments = map(calibration.adjustment.recording.setup.instrument_named, calibration.instruments)

@@ -10,10 +10,8 @@ import numpy as np
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import history_file, read_calibration
+from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.history_schema import HistoryFile
-from ltsim.calibration.schema import CalibrationFile
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
 from ltsim.core.units import FACTOR
@@ -50,13 +48,13 @@ class EarlierCalibrations:
         if isinstance(source, Calibration):
             return cls._of_calibration(source)
         if isinstance(source, History):
-            return cls._of_history(history_file(source))
+            return cls._of_history(source)
         path = Path(source)
-        names = (CalibrationFile.FILE, HistoryFile.FILE)
+        names = (Calibration.FILE, History.FILE)
         held = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
         file = held[0] if path.is_dir() else path
-        if str(read_json(file, CalibrationFile.FILE).get("format", "")).startswith("ltsim-history/"):
-            return cls._of_history(read_result(file, HistoryFile), file)
+        if str(read_json(file, Calibration.FILE).get("format", "")).startswith("ltsim-history/"):
+            return cls._of_history(read_result(file, History), file)
         return cls._of_calibration(read_calibration(file))
 
     @classmethod
@@ -77,7 +75,7 @@ class EarlierCalibrations:
         )
 
     @classmethod
-    def _of_history(cls, content: HistoryFile, file: Path | None = None) -> EarlierCalibrations:
+    def _of_history(cls, content: History, file: Path | None = None) -> EarlierCalibrations:
         courses = content.parameters
         strange = next((course for course in courses if course.unit not in FACTOR), None)
         if strange is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,7 +16,6 @@ from ltsim.adjustment.unmodelled import (
     joint_air_covariance,
     longest_sight,
 )
-from ltsim.adjustment.verdict import Verdict
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.schema import Fit, FittedEffectEntry, ReflectorEntry, StationPose
 from ltsim.calibration.uncertainty import HiddenError
@@ -31,27 +29,27 @@ MATTERS = 0.2
 """An error that no reading shows is reported from this share of the targets' rms standard deviation on."""
 
 
-def uncertainty_factor(fit: Fit, verdict: Verdict | None = None) -> float:
+def uncertainty_factor(fit: Fit, *, by_estimate: bool | None = None) -> float:
     """Factor on the standard deviations: sigma0 where it is significantly above 1, not by single readings; else 1.
 
-    Without a verdict the global test decides, at the level `AGREEMENT_LEVEL`.
+    `by_estimate` is the verdict of the tests; without it the global test decides, at the level `AGREEMENT_LEVEL`.
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
         return 1.0
     rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
-    return fit.sigma0 if (rejected if verdict is None else verdict.by_estimate) else 1.0
+    return fit.sigma0 if (rejected if by_estimate is None else by_estimate) else 1.0
 
 
 def reported(calibration: Calibration) -> Calibration:
     """The calibration with the standard deviations of its targets, stations and parameters as they are reported."""
-    adjustment, factor = calibration.adjustment, uncertainty_factor(calibration.fit, calibration.verdict)
+    verdict, adjustment = calibration.verdict, calibration.adjustment
+    factor = uncertainty_factor(calibration.fit, by_estimate=verdict.scale_by_sigma0 if verdict.case else None)
     if adjustment is None:
         return calibration
     unknowns = adjustment.problem.unknowns
     covariance = factor**2 * calibration.target_covariance + air_covariance(adjustment, unknowns.target)
     stations = air_covariance(adjustment, unknowns.pose)
-    return replace(
-        calibration,
+    return calibration.with_changes(
         covariance=_scaled_parameters(calibration, factor),
         target_covariance=covariance,
         stations=tuple(_pose(pose, factor, added) for pose, added in zip(calibration.stations, stations, strict=True)),
@@ -106,15 +104,15 @@ def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
         if sigma is not None:
             given = np.array([np.nan if value is None else value for value in sigma])
             sizes[name] = tuple(np.hypot(factor * given, part / unit).tolist())
-    return pose.model_copy(update=sizes)
+    return pose.with_values(**sizes)
 
 
 def _fitted(entry: FittedT, factor: float) -> FittedT:
     """An entry of fitted parameters with their standard deviations multiplied by a factor."""
     parameters = tuple(
-        p if p.sigma is None else p.model_copy(update={"sigma": factor * p.sigma}) for p in entry.parameters
+        p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters
     )
-    return entry.model_copy(update={"parameters": parameters})
+    return entry.with_values(parameters=parameters)
 
 
 def _hidden(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:

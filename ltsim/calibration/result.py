@@ -6,14 +6,14 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
-from ltsim.adjustment.evaluation.criteria import Criteria, evaluate
+from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.reference_tests import UNITS
 from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.verdict import Verdict, verdict
-from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.combinations import Combination
 from ltsim.calibration.schema import (
+    SHOWN_UNITS,
     AxesEntry,
     Fit,
     FittedParameterEntry,
@@ -294,7 +294,7 @@ def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Directio
 
 def criteria_of(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
-) -> Criteria | None:
+) -> CriteriaEntry | None:
     """The paper's criteria without excluded pointings; None where stations cannot be compared.
 
     After the correction the readings are free of the effects that were estimated too, and of the incidence errors of

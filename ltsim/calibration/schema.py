@@ -1,20 +1,16 @@
-"""Schema of calibration.json and its tables."""
+"""Entries of calibration.json and its tables."""
 
 import math
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
 from scipy import special
 
-from ltsim.adjustment.evaluation.criteria import CriterionEntry
-from ltsim.adjustment.identification.tests import Test
-from ltsim.calibration.combinations import Combination, DeterminedEntry
-from ltsim.calibration.uncertainty import UncertaintyEntry
+from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number, with_sigma
 from ltsim.core.probability import format_p
-from ltsim.core.results import Table, numbers, texts
+from ltsim.core.results import Column, Table, columns_of, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.recordings.result_file import (
     Entry,
@@ -23,10 +19,12 @@ from ltsim.recordings.result_file import (
     OptionalFloat,
     Positive,
     Quaternion,
-    ResultFile,
     Sigma,
     Vector,
 )
+
+SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
+"""Unit of each column of the readings where a person reads it."""
 
 COORDINATES = (
     *texts(target="name"),
@@ -239,6 +237,11 @@ class VerdictEntry(Entry):
     scale_by_sigma0: bool = False
     """True where the estimated sigma0 is to be trusted, not the declared noise."""
 
+    @classmethod
+    def of(cls, judged: Verdict) -> Self:
+        """The entry of a verdict."""
+        return cls(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate)
+
 
 class Correction(Entry):
     """Correction that is worth applying, and the error of new points that is expected with it."""
@@ -328,68 +331,41 @@ class ReflectorEntry(Entry):
     """Parameters of the effect `smr-incidence`."""
 
 
-class CalibrationFile(UncertaintyEntry, ResultFile):
-    """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
-
-    FILE: ClassVar[str] = "calibration.json"
-    format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
-    """Format and version of this file."""
-    method: str = "network"
-    """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`."""
-    construction: str
-    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
-    fit: Fit = Fit()
-    """Agreement of readings and model."""
-    frame: str = ""
-    """The frame of all coordinates."""
-    parameters: tuple[ParameterEntry, ...]
-    """Estimates."""
-    covariance: tuple[tuple[Finite, ...], ...] = ()
-    """Covariance of the parameters, in their order and units."""
-    harmonics: tuple[HarmonicEntry, ...] = ()
-    """Cosines and sines as amplitude and phase."""
-    undetermined: tuple[Combination, ...] = ()
-    """Combinations of parameters that the recording does not determine."""
-    determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations of parameters that the recording determines far better than each of their members."""
-    stations: tuple[StationPose, ...] = ()
-    """Poses."""
-    criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
-    """The paper's criteria before and after."""
-    outliers: tuple[OutlierRow, ...] = ()
-    """Outlying readings."""
-    tests: tuple[Test, ...] = ()
-    """Test table: simple causes that the readings support, and outliers; all statements on misfit come from it."""
-    robust: bool = False
-    """Outlying readings were excluded."""
-    noise: tuple[NoiseRow, ...] = ()
-    """Noise estimated from the readings, one entry a group."""
-    with_constants: Fit | None = None
-    """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
-    noise_estimated: bool = False
-    """The noise was estimated from the readings, and used."""
-    verdict: VerdictEntry = VerdictEntry()
-    """Verdict on the test to trust."""
-    reference_values: tuple[ReferenceValueEntry, ...] = ()
-    """Reference coordinates, lengths and levels, each tested by the rest."""
-    undetermined_targets: tuple[str, ...] = ()
-    """Targets that their readings do not determine."""
-    axes: AxesEntry | None = None
-    """Standard deviations of the axes, where declared coordinates define them (`--frame`)."""
-    correction: Correction | None = None
-    """Correction that is worth applying; null where it was not requested."""
-    effects: tuple[FittedEffectEntry, ...] = ()
-    """Effects that were estimated with the parameters (`--with`)."""
-    reflectors: tuple[ReflectorEntry, ...] = ()
-    """Incidence errors of reflectors in fixed nests."""
-    history_prior: bool = False
-    """Earlier calibrations were the prior."""
-    notes: tuple[str, ...] = ()
-    """Notes on how the result was obtained, one sentence each."""
-
-    @model_validator(mode="after")
-    def _covariance_is_square(self) -> Self:
-        count = len(self.parameters)
-        if self.covariance and {len(self.covariance), *map(len, self.covariance)} != {count}:
-            raise ValueError(f"the covariance is not a square of {count} x {count} numbers")
-        return self
+PARAMETERS = Table(
+    "parameters.csv",
+    "estimates of the instrument's parameters, each in its unit",
+    columns_of(
+        ParameterEntry,
+        "name instrument value sigma unit prior_sigma held applied",
+        value={"sigma": "sigma"},
+        prior_sigma={"shown": ".3g"},
+        name={"name": "parameter"},
+    ),
+)
+REFERENCE_VALUES = Table(
+    "reference_values.csv", "reference values, each tested by the rest", columns_of(ReferenceValueEntry)
+)
+OUTLIERS = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
+NOISE = Table(
+    "noise.csv",
+    "noise estimated from the readings",
+    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
+)
+REFLECTORS = Table(
+    "reflectors.csv",
+    "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
+    (
+        *texts(reflector="its name; empty where the recording names none", parameter="as `ltsim effects` lists it"),
+        *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
+    ),
+)
+PLACES = Table(
+    "places.csv",
+    "coordinates as a page shows them",
+    (
+        *texts(name="of the target or station"),
+        *numbers(shown=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+        *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", digits=2) for axis in "xyz"),
+    ),
+)
+STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))

@@ -21,9 +21,9 @@ from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
-from ltsim.calibration.calibration import Correction
 from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
+from ltsim.calibration.schema import Correction
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.rigid import less_rigid

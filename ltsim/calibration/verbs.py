@@ -8,6 +8,7 @@ from typing import Any
 from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.correct import incidence_change
 from ltsim.calibration.distance import METHODS, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
@@ -199,10 +200,11 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     source = recording_of(recording)
     use = ~screen_gross_errors(source).gross
     if calibration is None:
-        return criteria_of(source, use=use)
+        return Criteria.of(source, criteria_of(source, use=use))
     corrections = calibration_of(calibration)
     change = incidence_change(source, corrections)
-    return criteria_of(source, corrections.construction, corrections.values_for(source), shift=change, use=use)
+    values = corrections.values_for(source)
+    return Criteria.of(source, criteria_of(source, corrections.construction, values, shift=change, use=use))
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
@@ -229,7 +231,8 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     source, corrections = recording_of(recording), calibration_of(calibration)
     change = incidence_change(source, corrections)
     values = corrections.values_for(source)
-    return verified(source, read_nominal(Path(nominal)), corrections.construction, values, shift=change)
+    points = read_nominal(Path(nominal))
+    return Criteria.of(source, verified(source, points, corrections.construction, values, shift=change))
 
 
 def history(
@@ -260,14 +263,14 @@ def history(
     >>> import ltsim as lt
     >>> spring, autumn = (lt.simulate("paper-workshop", seed=s).recording for s in (1, 2))
     >>> course = lt.history([spring, autumn])
-    >>> course.change(0, 1).dof > 0
+    >>> course.since_first.dof > 0
     True
     """
     if isinstance(sources, Mapping):
         named = [(label, _labelled(label, source, options)[1]) for label, source in sources.items()]
     else:
         named = [_labelled(str(number), source, options) for number, source in enumerate(sources, start=1)]
-    return History.of(named, instrument, None if dates is None else names(dates))
+    return History.of(CalibrationSeries.of(named, instrument, None if dates is None else names(dates)))
 
 
 def _labelled(label: str, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:

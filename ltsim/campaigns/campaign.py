@@ -27,8 +27,10 @@ from ltsim.campaigns.spec import JUDGE, Campaign, Cell, cad_files, cells_of, loa
 from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
-from ltsim.core.errors import SetupError, WorkerError, as_setup_error
+from ltsim.core.arguments import check_bounds, check_choice
+from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option
 from ltsim.core.parallel import parallel
+from ltsim.core.storage import check_writable
 from ltsim.recordings.files import shown
 from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
@@ -53,6 +55,12 @@ class Workers:
     """Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that it wrote (``dask scheduler
     --scheduler-file cluster.json``).
     """
+
+    def __post_init__(self) -> None:
+        check_bounds(jobs=self.jobs, required="jobs")
+        check_choice("backend", self.backend, ("local", "dask"))
+        if self.scheduler and self.backend != "dask":
+            raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,7 @@ def run_campaign(
 
     `tables` stand for a file that is not there. `progress` is told the number of trials that were done.
     """
+    check_writable(folder, folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = cells_of(campaign, scenarios, file)
     notes, store = _check(campaign, factors, cells, file), Store(folder)

@@ -1,7 +1,7 @@
 """Calibrations of one recording held against each other by the error of points that none of them has seen."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +129,9 @@ def judge(
 
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
-    taken = named if applied else {name: replace(calibration, correction=None) for name, calibration in named.items()}
+    taken = (
+        named if applied else {name: calibration.with_changes(correction=None) for name, calibration in named.items()}
+    )
     corrected = {
         name: measured_points(correct(recording, calibration, again=True)) for name, calibration in taken.items()
     }

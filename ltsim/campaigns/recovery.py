@@ -41,7 +41,7 @@ from ltsim.campaigns.schema import Errors, Whole
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
-from ltsim.core.results import Result, Table
+from ltsim.core.results import Table
 from ltsim.core.units import in_unit
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import each_of
@@ -56,7 +56,7 @@ MOST_FAILURES = 3
 fails at once, and the check of convergence fails with the first."""
 
 
-class Recovery(ResultFile, Result):
+class Recovery(ResultFile):
     """`recovery.json`: the result of `recover`."""
 
     FILE: ClassVar[str] = "recovery.json"
@@ -85,8 +85,6 @@ class Recovery(ResultFile, Result):
     problem: str = ""
     """Reason of the failure of the last trial without a result."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
-
-    __repr__ = __str__ = Result.__repr__
 
     @classmethod
     def of(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
@@ -216,7 +214,7 @@ def recover(
     >>> lt.recover("paper-workshop", trials=12).failures()
     []
     """
-    check_bounds(trials=trials, seed=seed, jobs=jobs)
+    check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = construction_of(scenario), errors or errors_of(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):

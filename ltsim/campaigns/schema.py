@@ -225,6 +225,11 @@ class ManifestFile(ResultFile):
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell."""
 
+    def _lines(self) -> list[str]:
+        title = f"{self.title}: " if self.title else ""
+        methods = ", ".join(self.methods)
+        return [f"Campaign: {title}{len(self.cells)} cells, at most {self.trials} trials each, {methods}"]
+
     @model_validator(mode="after")
     def _belong_together(self) -> Self:
         names = [factor.name for factor in self.factors]

@@ -176,7 +176,7 @@ class TrueValue(NamedTuple):
 def true_values(truth: Truth) -> dict[str, TrueValue]:
     """True parameters by name; those of effects as ``head-sag:sag``, with the place behind where there is one."""
     values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
-    for applied in truth.effects:
+    for applied in truth.applied:
         place = f" {applied.effect.place}" if applied.effect.place else ""
         for parameter, value in zip(applied.effect.parameters, applied.values, strict=True):
             values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueValue(float(value), parameter.unit)
@@ -215,7 +215,7 @@ class ExpectedTruth:
         mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
-            return cls(mean, drawn, calibration.bias_operator, np.zeros(0, dtype=np.int64), prior)
+            return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
         more = np.concatenate([np.zeros(0), *reflectors])
@@ -240,7 +240,7 @@ class ExpectedTruth:
 def _reflector_error(truth: Truth) -> Floats:
     """True parameters (p,) [SI] of the reflectors' incidence error."""
     total = SmrIncidence().values_of_table
-    for applied in truth.effects:
+    for applied in truth.applied:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place:
             total = total + applied.effect.values_of_table + applied.values
     return total

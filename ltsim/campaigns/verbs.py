@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns import require_packages
-from ltsim.core.arguments import check_bounds, check_choice
+from ltsim.core.arguments import check_mapping, source_path
 from ltsim.core.errors import SetupError
 
 if TYPE_CHECKING:
@@ -73,16 +73,16 @@ def campaign(
         method  trials  failed
     0  network      64       0
     """
-    check_bounds(jobs=jobs)
-    check_choice("backend", backend, ("local", "dask"))
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.results import Results
 
+    workers = Workers(jobs, backend, scheduler)
+    check_mapping("changes", changes)
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
         raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
-    path = Path("the campaign") if isinstance(source, Mapping) else Path(source)
+    path = Path("the campaign") if isinstance(source, Mapping) else source_path(source)
     if tables is None and path.is_dir():
         if out is not None or resume or force or changes:
             raise SetupError(f"{path}: rows of a campaign are only opened: to run it, give {path / 'campaign.toml'}")
@@ -91,7 +91,7 @@ def campaign(
     run_campaign(
         path,
         folder,
-        workers=Workers(jobs, backend, scheduler),
+        workers=workers,
         resume=resume,
         force=force,
         changes=changes,

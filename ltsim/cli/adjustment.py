@@ -117,17 +117,17 @@ def evaluate(
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
-    from ltsim.adjustment.evaluation.criteria import CriteriaFile
+    from ltsim.adjustment.evaluation import Criteria
     from ltsim.adjustment.snooping import screen_gross_errors
 
-    terminal.check_overwrite(CriteriaFile)
+    terminal.check_overwrite(Criteria)
     recording = reading.open(source, terminal)
     gross = screen_gross_errors(recording).gross
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
     applied = None if calibration is None else calibration_of(terminal, calibration)
-    _judged(terminal, lt.evaluate(recording, applied), recording)
+    _judged(terminal, lt.evaluate(recording, applied))
 
 
 def verify(
@@ -144,12 +144,12 @@ def verify(
 
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
-    from ltsim.adjustment.evaluation.criteria import CriteriaFile
+    from ltsim.adjustment.evaluation import Criteria
 
-    terminal.check_overwrite(CriteriaFile)
+    terminal.check_overwrite(Criteria)
     recording = reading.open(source, terminal)
     applied = calibration_of(terminal, calibration)
-    _judged(terminal, lt.verify(recording, nominal, applied), recording)
+    _judged(terminal, lt.verify(recording, nominal, applied))
 
 
 def _fitted(
@@ -161,28 +161,25 @@ def _fitted(
 ) -> None:
     """Fit, write and print; a calibration replaces only a calibration, an adjustment only an adjustment."""
     from ltsim.adjustment.joint import COVARIANCE
-    from ltsim.calibration.files import calibration_file, write_calibration
-    from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+    from ltsim.calibration.calibration import Calibration
+    from ltsim.calibration.files import write_calibration
+    from ltsim.calibration.schema import RESIDUALS, TARGETS
 
     adjust_only = verb is lt.adjust
     names = (TARGETS.file, COVARIANCE, RESIDUALS.file)
     terminal.check_overwrite(
-        CalibrationFile, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
+        Calibration, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
     )
     recording = reading.open(source, terminal)
     with terminal.progress("adjusting" if adjust_only else "calibrating"):
         result = verb(recording, **options)
-    content = write_calibration(result, terminal.out) if terminal.out else calibration_file(result)
-    terminal.result(content, notes=result.notes)
+    result = write_calibration(result, terminal.out) if terminal.out else result
+    terminal.result(result, notes=result.notes)
 
 
-def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) -> None:
-    from ltsim.adjustment.evaluation.criteria import CriteriaFile
-    from ltsim.recordings.result_file import SourceEntry
-
-    content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
-    terminal.write(content)
-    terminal.answer(content.content())
+def _judged(terminal: ResultTerminal, criteria: Criteria) -> None:
+    criteria = terminal.write(criteria)
+    terminal.answer(criteria.content())
     terminal.say(criteria.table().text())
     if terminal.out is not None:
         terminal.say(f"\nwritten to {terminal.out}")
@@ -193,7 +190,7 @@ def calibration_of(terminal: Terminal, path: Path) -> Calibration:
     from ltsim.calibration.files import read_calibration
 
     calibration = read_calibration(path)
-    terminal.notes(calibration.notes)
+    terminal.notes(calibration.warnings)
     return calibration
 
 
@@ -225,15 +222,15 @@ def diagnose(
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
+    from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import COMPANIONS, write_diagnosis
-    from ltsim.diagnosis.schema import DiagnosisFile
 
-    terminal.check_overwrite(DiagnosisFile, *COMPANIONS)
+    terminal.check_overwrite(Diagnosis, *COMPANIONS)
     recording = reading.open(source, terminal)
     with terminal.progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options)
-    content = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis.file(recording)
-    terminal.result(content)
+    diagnosis = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis
+    terminal.result(diagnosis)
     return 1 if fail_on_mismatch and diagnosis.verdict == "mismatch" else 0
 
 
@@ -270,24 +267,21 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
-    from ltsim.calibration.files import history_file
-    from ltsim.calibration.history_schema import HistoryFile
+    from ltsim.calibration.history import History
     from ltsim.reports.sections import section_of
 
-    terminal.check_overwrite(HistoryFile, "history.svg")
+    terminal.check_overwrite(History, "history.svg")
     opened: dict[str, Calibration | Recording] = {}
     for source in sources:
         opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
     with terminal.progress("calibrating"):
-        courses = lt.history(opened, **options)
-    content = history_file(courses)
+        content = lt.history(opened, **options)
 
     def drawn() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
         from ltsim.reports.style import svg
 
-        determined = [course for course in content.parameters if course.constant.dof]
-        return {"history.svg": svg(history_figure(courses.labels, determined))}
+        return {"history.svg": svg(history_figure(content.labels, content.determined))}
 
     written = terminal.write(content, drawn)
     terminal.result(written)
@@ -298,9 +292,9 @@ def _opened(
     terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
     """A calibration, a recording, or each of its set-ups, by label."""
-    from ltsim.calibration.schema import CalibrationFile
+    from ltsim.calibration.calibration import Calibration
 
-    file = CalibrationFile.FILE
+    file = Calibration.FILE
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
         return {label or source.stem: calibration_of(terminal, source)}

@@ -14,10 +14,10 @@ import typer
 import ltsim as lt
 from ltsim.campaigns import require_packages
 from ltsim.cli import streams
-from ltsim.cli.places import FILE, FOLDER, Force, check_writable
+from ltsim.cli.places import FILE, FOLDER, Force
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.core.arguments import MOST_JOBS
+from ltsim.core.arguments import bounded, range_words
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.recordings.files import write_text
 
@@ -75,11 +75,10 @@ def campaign(
     from ltsim.campaigns.store import Store
     from ltsim.reports.sections.campaign import campaign_section
 
+    workers = Workers(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     folder = out or file.with_suffix("")
-    check_writable(folder, folder=True)
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    workers = Workers(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     if not compiled_before():
         terminal.note("First campaign: compiling the solver takes about 30 s.")
     try:
@@ -118,7 +117,11 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
 RecoverJobs = Annotated[
     int | None,
     typer.Option(
-        "--jobs", "-j", min=1, max=MOST_JOBS, help="Number of processes; default all cores, one for few trials."
+        "--jobs",
+        "-j",
+        parser=bounded("jobs"),
+        metavar=f"NUMBER: {range_words('jobs')}",
+        help="Number of processes; default all cores, one for few trials.",
     ),
 ]
 
@@ -153,7 +156,7 @@ def recover(
     from ltsim.campaigns.recovery_trials import TRIALS
 
     terminal.check_overwrite(Recovery, TRIALS.file)
-    workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
+    workers = (1 if options["trials"] < FEW else os.cpu_count() or 1) if jobs is None else jobs
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
     result = terminal.write(result, lambda: {TRIALS.file: result.table("trials").csv()})

@@ -59,10 +59,10 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    from ltsim.adjustment.fieldcheck import check_file, write_check
-    from ltsim.adjustment.fieldcheck.items import TWO_FACE, CheckFile
+    from ltsim.adjustment.fieldcheck import Check, write_check
+    from ltsim.adjustment.fieldcheck.result import TWO_FACE
 
-    terminal.check_overwrite(CheckFile, TWO_FACE.file, "check.svg")
+    terminal.check_overwrite(Check, TWO_FACE.file, "check.svg")
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -74,12 +74,11 @@ def check(
     recording = reading.open(source, terminal)
     with terminal.progress("checking"):
         result = lt.check(recording, mpe=limit, **options)
-    content = check_file(result)
     if terminal.out is not None:
         from ltsim.reports.style import svg  # most checks draw nothing
 
-        content = write_check(result, terminal.out, {"check.svg": svg(result.plot())})
-    terminal.result(content)
+        result = write_check(result, terminal.out, {"check.svg": svg(result.plot())})
+    terminal.result(result)
     return 0 if result.passed else 1
 
 
@@ -136,9 +135,9 @@ def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None])
         failed = [item for item in result.items if not item.passed]
         for item in failed:
             if _key(item) not in reported:
-                terminal.print_now(f"{len(result.recording)} pointings: NO-GO {item.sentence}", bell=True)
+                terminal.print_now(f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", bell=True)
         if (reported and not failed) or not reported.union(map(_key, failed)):
-            terminal.print_now(f"{len(result.recording)} pointings: {result.sentence}")
+            terminal.print_now(f"{len(result.arrays.recording)} pointings: {result.sentence}")
         reported = set(map(_key, failed))
         if streams.reader_is_gone():
             return

@@ -17,7 +17,7 @@ import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
-from ltsim.core.arguments import BOUNDS, MOST_JOBS, check_bounds, check_choice, range_words
+from ltsim.core.arguments import BOUNDS, MOVE_FORM, bounded, check_choice, range_words
 from ltsim.core.errors import SPECIAL, RecordError, SetupError
 
 if TYPE_CHECKING:
@@ -31,7 +31,13 @@ CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
 Jobs = Annotated[
     int,
-    typer.Option("--jobs", "-j", min=1, max=MOST_JOBS, help="Number of processes; the result does not depend on it."),
+    typer.Option(
+        "--jobs",
+        "-j",
+        parser=bounded("jobs"),
+        metavar=f"NUMBER: {range_words('jobs')}",
+        help="Number of processes; the result does not depend on it.",
+    ),
 ]
 FormatName = Annotated[
     str | None, typer.Option("--format", metavar="NAME", help="Format of REC; default by its content.")
@@ -237,7 +243,7 @@ MAPPINGS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
     "move": (
         "STATION=X,Y[,Z[,YAW]]",
-        "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000",
+        MOVE_FORM,
         _place,
     ),
 }
@@ -296,15 +302,14 @@ class FunctionOption:
         if self.several or default is None or default == ():
             kind, default = (list[str] if self.several else kind) | None, None
         complete = (lambda: self.choices) if self.choices else None
-        option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete)
+        parser = bounded(self.name) if self.name in BOUNDS else None
+        option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete, parser=parser)
         return _option(self.name, Annotated[kind, option], default)
 
     def value(self, given: Any) -> Any:
         """Argument of the function from the value on the command line; raises SetupError for an invalid value."""
         if given is None or given == []:
             return self.default
-        if self.name in BOUNDS:
-            check_bounds(**{self.name: given})
         if self.choices:
             check_choice(self.name, given, self.choices)
         if self.name in MAPPINGS:

@@ -7,21 +7,18 @@ its rule before it calls the verb.
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ltsim.core.errors import RecordError, SetupError
 from ltsim.core.notation import listing
-from ltsim.core.storage import is_device, place_in, settle
+from ltsim.core.storage import check_writable, is_device, place_in, settle
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
@@ -69,31 +66,6 @@ def _names_of_results() -> set[str]:
     truth = "truth.json"
     tables = {table.file for file, companions in TABLES.items() if file != truth for table in companions}
     return {OBSERVATIONS, *FILES, *tables} - {truth}
-
-
-def check_writable(path: Path, *, folder: bool) -> None:
-    """Raise RecordError if no file, or no `folder`, can be written at a path; parent folders may be missing."""
-    try:
-        if path.is_dir() != folder and path.exists():
-            wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
-            raise RecordError(f"{wrong} to write to", file=path)
-        if is_device(path):
-            if not os.access(path, os.W_OK):
-                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-            return
-        above = path if folder else path.parent
-        while not os.path.lexists(above):
-            above = above.parent
-        with suppress(FileNotFoundError):
-            os.lstat(path)
-        for part in path.parts:  # a name may be too long for the file system
-            with suppress(FileNotFoundError):
-                os.lstat(above / part)
-        TemporaryFile(dir=above).close()
-    except OSError as problem:
-        raise RecordError(f"cannot be written ({problem.strerror})", file=path) from None
-    if not folder:
-        place_in(path.parent, path.name)
 
 
 def check_overwrite(

@@ -226,13 +226,12 @@ def simulated(out: Path, seed: int) -> str:
 
 def calibrated(out: Path, seed: int) -> str:
     """Calibrate that recording."""
-    from ltsim.calibration.files import calibration_file
     from ltsim.reports.sections import section_of
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     calibration = lt.calibrate(recording)
     lt.write(calibration, out / "workshop")
-    return section_of(calibration_file(calibration)).answer
+    return section_of(calibration).answer
 
 
 def diagnosed(out: Path, seed: int) -> str:

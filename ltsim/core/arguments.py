@@ -1,8 +1,11 @@
-"""Bounds and choices of arguments, with the same error messages in Python and on the command line."""
+"""Bounds, choices and forms of arguments, with the same error messages in Python and on the command line."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from numbers import Integral, Real
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
 
 from ltsim.core.errors import SetupError, option
 
@@ -13,6 +16,8 @@ BOUNDS: dict[str, tuple[float, float | None]] = {
     "jobs": (1, MOST_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
 }  # fmt: skip
 """Smallest and largest value by the name of an argument; whole numbers where the smallest is one."""
+MOVE_FORM = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
+"""Form of a station at another place."""
 
 
 def range_words(name: str) -> str:
@@ -22,18 +27,54 @@ def range_words(name: str) -> str:
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number}}"
 
 
-def check_bounds(**given: object) -> None:
-    """Raise SetupError for an argument that is no number of its range; None stands for one that is not given."""
+def check_bounds(*, required: str = "", **given: object) -> None:
+    """Raise SetupError for an argument that is no number of its range.
+
+    None stands for an argument that is not given, except for the `required` ones, names separated by blanks.
+    """
     for name, value in given.items():
         low, high = BOUNDS[name]
         whole = isinstance(low, int)
-        good = isinstance(value, Integral if whole else Real) and isfinite(value)
-        if value is not None and not (good and low <= value and (high is None or value <= high)):  # type: ignore[operator]
+        is_number = not isinstance(value, bool) and isinstance(value, Integral if whole else Real) and isfinite(value)
+        good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
+        if not (good or (value is None and name not in required.split())):
             kind = "a whole number" if whole else "a number"
             raise SetupError(f"{option(name)} is {value}, expected {kind}, {range_words(name)}")
 
 
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
-    """Raise SetupError for an argument that is none of its choices; None stands for one that is not given."""
-    if value is not None and value not in choices:
+def bounded(name: str) -> Callable[[object], int | float]:
+    """Parser of an argument on the command line: raises SetupError as `check_bounds`."""
+    kind = int if isinstance(BOUNDS[name][0], int) else float
+
+    def parsed(text: object) -> int | float:
+        value: object = text
+        if isinstance(text, str):
+            try:
+                value = kind(text)
+            except ValueError:
+                value = text
+        given: dict[str, Any] = {name: value}
+        check_bounds(**given)
+        return value  # type: ignore[return-value]
+
+    return parsed
+
+
+def check_choice(name: str, value: object, choices: Sequence[str], *, optional: bool = False) -> None:
+    """Raise SetupError for an argument that is none of its choices; None is one of an `optional` argument."""
+    if value not in choices and not (optional and value is None):
         raise SetupError(f"{option(name)} is {value}, expected {' or '.join(choices)}")
+
+
+def check_mapping(name: str, value: object) -> None:
+    """Raise SetupError for an argument that is neither a mapping nor None."""
+    if value is not None and not isinstance(value, Mapping):
+        raise SetupError(f"{option(name)} is {value}, expected a mapping")
+
+
+def source_path(source: object) -> Path:
+    """Path or name of a source; raises SetupError for another object, and for an empty text."""
+    text = fspath(source) if isinstance(source, str | PathLike) else None
+    if not isinstance(text, str) or not text or "\0" in text:
+        raise SetupError(f"the source is {source!r}, expected the name of a built-in one, or the path of a file")
+    return Path(text)

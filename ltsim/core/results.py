@@ -11,7 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -58,7 +58,7 @@ class Column:
     form : str
         Number format in CSV, as of `format`; `r` for full precision.
     shown : str
-        Number format for display; by default four digits.
+        Number format for display; by default `digits` significant digits.
     sigma : str
         Name of the column with its standard deviation; both are displayed in one cell, `1.23 +- 0.10`.
     like : str
@@ -69,6 +69,8 @@ class Column:
         Displayed title; by default the name without its unit.
     field : str
         Attribute of a row object that holds the value; by default the name.
+    digits : int
+        Significant digits of a number that is displayed without `shown`.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Column:
     unit: str = ""
     title: str = ""
     field: str = ""
+    digits: int = 4
 
     @property
     def heading(self) -> str:
@@ -116,7 +119,7 @@ class Column:
             return f"{value:.{decimals(precision)}f}"
         if self.shown:
             return format(value, self.shown)
-        return str(value) if isinstance(value, int | np.integer) else number(float(value), 4)
+        return str(value) if isinstance(value, int | np.integer) else number(float(value), self.digits)
 
 
 def texts(**columns: str) -> tuple[Column, ...]:
@@ -134,7 +137,7 @@ def flags(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
-def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
+def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, Any]) -> tuple[Column, ...]:
     """Columns of the fields of a model, with the descriptions of the fields as meanings.
 
     `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
@@ -197,10 +200,11 @@ class Table(ValueEquality):
         return [column.name for column in self.columns]
 
     def only(self, names: str) -> Table:
-        """The table with the columns `names`, separated by blanks, and their standard deviations."""
-        wanted = set(names.split())
-        wanted |= {column.sigma or column.like for column in self.columns if column.name in wanted}
-        at = [i for i, column in enumerate(self.columns) if column.name in wanted]
+        """The table with the columns `names`, separated by blanks, in this order, and their standard deviations."""
+        by_name = {column.name: column for column in self.columns}
+        wanted = [by_name[name] for name in names.split() if name in by_name]
+        needed = dict.fromkeys(name for c in wanted for name in (c.name, c.sigma or c.like) if name)
+        at = [self.header.index(name) for name in needed]
         rows = tuple(tuple(row[i] for i in at) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
 
@@ -388,8 +392,3 @@ def _value(column: Column, cell: str, file: object, row: int) -> Any:
 def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
     """Columns of rows with equal keys."""
     return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}
-
-
-def by_entry(kind: type, entries: Sequence[object]) -> Columns:
-    """Columns of the fields of a dataclass, one row per entry."""
-    return {field.name: [getattr(entry, field.name) for entry in entries] for field in fields(kind)}

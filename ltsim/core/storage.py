@@ -15,6 +15,7 @@ import re
 import secrets
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from ltsim.core.errors import RecordError
 
@@ -99,6 +100,31 @@ def place_in(folder: Path, name: str) -> Path:
 def is_device(path: Path) -> bool:
     """True when a path leads to something that is neither a file nor a folder: a device, a pipe."""
     return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def check_writable(path: Path, *, folder: bool) -> None:
+    """Raise RecordError if no file, or no `folder`, can be written at a path; parent folders may be missing."""
+    try:
+        if path.is_dir() != folder and path.exists():
+            wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
+            raise RecordError(f"{wrong} to write to", file=path)
+        if is_device(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return
+        above = path if folder else path.parent
+        while not os.path.lexists(above):
+            above = above.parent
+        with contextlib.suppress(FileNotFoundError):
+            os.lstat(path)
+        for part in path.parts:  # a name may be too long for the file system
+            with contextlib.suppress(FileNotFoundError):
+                os.lstat(above / part)
+        TemporaryFile(dir=above).close()
+    except (OSError, ValueError) as problem:
+        raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
+    if not folder:
+        place_in(path.parent, path.name)
 
 
 def _temporary(ending: str) -> str:

@@ -18,7 +18,7 @@ from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.detectability import DetectabilityReport, detectability_report
-from ltsim.diagnosis.diagnosis import Diagnosis, Targets
+from ltsim.diagnosis.diagnosis import Diagnosis, DiagnosisArrays, Targets
 from ltsim.diagnosis.evidence import restricted
 from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.findings_from_tests import instrument_finding
@@ -28,7 +28,7 @@ from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation, contr
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.null_ensemble import TRIALS
 from ltsim.diagnosis.preprocessing import adapted, agreeing
-from ltsim.diagnosis.schema import Finding, Misfit
+from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import LIKELY, summarise
@@ -38,6 +38,7 @@ from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.responses import VARIED, constants_in
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MOST_ROUNDS = 3
@@ -118,7 +119,8 @@ def diagnose(
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, LEAST_GAIN, repeated)
     detectability = detectability_report(*beginning)
-    return _report(explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
+    source = SourceEntry.of(recording)
+    return _report(source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
@@ -283,6 +285,7 @@ def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
 
 
 def _report(
+    source: SourceEntry,
     explained: Explained,
     detectability: DetectabilityReport,
     certain: Sequence[Finding],
@@ -309,24 +312,24 @@ def _report(
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
     verdict = "mismatch" if mismatch or certain else "consistent"
     detectable, undetectable = detectability
-    return Diagnosis(
+    return Diagnosis.of(
+        DiagnosisArrays(_targets(explained, shifts, noises), baseline, adjusted),
+        recording=source,
         verdict=verdict,
         summary=summarise(
             verdict, findings, detection.p_value, before, after, withheld=len(explained.withheld) + len(likely[room:])
         ),
-        statistic=baseline.chi2,
-        dof=baseline.dof,
-        p_value=detection.chi2_p_value,
-        search_p_value=detection.p_value,
+        global_test=GlobalTest(
+            statistic=baseline.chi2,
+            dof=baseline.dof,
+            p_value=detection.chi2_p_value,
+            search_p_value=detection.p_value,
+        ),
         findings=tuple(findings),
-        before=before,
-        after=after,
+        fit=BeforeAfter(before=before, after=after),
         undetectable=undetectable,
-        detectable=detectable,
+        detectable=tuple(map(DetectableEntry.of, detectable)),
         instruments=instrument_entries(settled),
-        targets=_targets(explained, shifts, noises),
-        baseline=baseline,
-        adjusted=adjusted,
         tests=() if selection is None else outcomes(selection),
     )
 

@@ -3,33 +3,35 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import PrivateAttr
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.tests import Test
-from ltsim.adjustment.remedies.detectability import MinimalSize
-from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
-from ltsim.core.results import Columns, Result, Table, by_entry, by_row
-from ltsim.core.units import FACTOR
+from ltsim.core.errors import ModelError
+from ltsim.core.results import Table
 from ltsim.core.values import ValueEquality
 from ltsim.diagnosis.schema import (
+    DETECTABLE,
+    FINDINGS,
+    FIT,
+    UNDETECTABLE,
     BeforeAfter,
     DetectableEntry,
-    DiagnosisFile,
     Estimate,
     Finding,
     GlobalTest,
     InstrumentEntry,
-    Misfit,
     Undetectable,
 )
 from ltsim.geometry.polar import wrap
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.result_file import ResultFile
 
 
 @dataclass(frozen=True)
@@ -42,60 +44,112 @@ class Targets(ValueEquality):
     """Weighted deviations between explanations; part of the covariance, (k, T, 3) [m]."""
 
 
-@dataclass(frozen=True, repr=False)
-class Diagnosis(Result):
-    """The verdict on a recording."""
+@dataclass(frozen=True)
+class DiagnosisArrays(ValueEquality):
+    """Networks of a diagnosis, and its coordinates."""
 
-    verdict: str
-    summary: str
-    statistic: float
-    dof: int
-    p_value: float
-    search_p_value: float
-    findings: tuple[Finding, ...]
-    before: Misfit
-    after: Misfit
-    undetectable: tuple[Undetectable, ...]
-    detectable: tuple[MinimalSize, ...]
-    instruments: tuple[InstrumentEntry, ...]
     targets: Targets
     baseline: Adjustment
+    """The ordinary adjustment."""
     adjusted: Adjustment
+    """The adjustment with the findings modelled."""
+
+
+class Diagnosis(ResultFile):
+    """`diagnosis.json`: the result of `diagnose`."""
+
+    FILE: ClassVar[str] = "diagnosis.json"
+    format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
+    """Format and version of this file."""
+    verdict: str
+    """`consistent`, or `mismatch`."""
+    summary: str
+    """The answer in a few sentences."""
+    global_test: GlobalTest
+    """Global test of the ordinary model."""
+    findings: tuple[Finding, ...] = ()
+    """Unmodelled causes that explain the readings."""
     tests: tuple[Test, ...] = ()
+    """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
+    fit: BeforeAfter | None = None
+    """Misfit without and with the findings."""
+    undetectable: tuple[Undetectable, ...] = ()
+    """Effects that are not detectable in this network."""
+    detectable: tuple[DetectableEntry, ...] = ()
+    """Smallest detectable sizes of all other effects."""
+    instruments: tuple[InstrumentEntry, ...] = ()
+    """Ordinary calibration of each instrument."""
+    _arrays: DiagnosisArrays | None = PrivateAttr(None)
+
+    @classmethod
+    def of(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
+        """The diagnosis with its networks; `fields` are those of the file."""
+        made = cls(**fields)
+        made._arrays = arrays
+        return made
+
+    @property
+    def arrays(self) -> DiagnosisArrays:
+        """The networks; raises ModelError for a diagnosis that was read from a file."""
+        if self._arrays is None:
+            raise ModelError("a diagnosis read from a file has no networks; call lt.diagnose with the recording")
+        return self._arrays
+
+    @property
+    def targets(self) -> Targets:
+        """Coordinates with the findings modelled, averaged over the explanations."""
+        return self.arrays.targets
+
+    @property
+    def baseline(self) -> Adjustment:
+        """The ordinary adjustment."""
+        return self.arrays.baseline
+
+    @property
+    def adjusted(self) -> Adjustment:
+        """The adjustment with the findings modelled."""
+        return self.arrays.adjusted
 
     def _lines(self) -> list[str]:
-        before, after = self.before, self.after
+        lines = [f"Diagnosis: {self.verdict}", self.summary]
+        if self.fit is None:
+            return lines
+        before, after = self.fit.before, self.fit.after
         fits = f"chi2/dof {before.chi2:.0f}/{before.dof}"
         if self.findings:
             fits += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
             if None not in (before.held_out_rms, after.held_out_rms) and before.held_out_rms != after.held_out_rms:
                 fits += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
-        return [f"Diagnosis: {self.verdict}", self.summary, fits]
+        return [*lines, fits]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "findings": self._findings,
-            "undetectable": lambda: by_row([dict(entry) for entry in self.undetectable]),
-            "detectable": lambda: by_entry(MinimalSize, self.detectable),
+            "fit": self._fit,
+            "undetectable": lambda: UNDETECTABLE.filled(self.undetectable),
+            "detectable": lambda: DETECTABLE.filled(self.detectable),
             "residuals": lambda: residuals_table(self.adjusted),
             "residuals_before": lambda: residuals_table(self.baseline),
         }
 
-    def _findings(self) -> Columns:
+    def _fit(self) -> Table:
+        both = () if self.fit is None else (("without the findings", self.fit.before), ("with them", self.fit.after))
+        return FIT.filled(
+            [words, f.chi2, f.dof, f.chi2 / f.dof if f.dof > 0 else None, f.held_out_rms] for words, f in both
+        )
+
+    def _findings(self) -> Table:
         """Rows of findings, one per parameter; an unknown effect without parameters has one row."""
         nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
-        rows = [(finding, p) for finding in self.findings for p in finding.parameters or (nothing,)]
-        return {
-            "effect": [f.effect for f, _ in rows],
-            "stations": [" ".join(f.where.stations) for f, _ in rows],
-            "targets": [" ".join(f.where.targets) for f, _ in rows],
-            "observables": [" ".join(f.where.observables) for f, _ in rows],
-            "probability": [f.evidence.probability for f, _ in rows],
-            "parameter": [p.name for _, p in rows],
-            "value": [p.value for _, p in rows],
-            "sigma": [p.sigma for _, p in rows],
-            "unit": [p.unit for _, p in rows],
-        }
+        return FINDINGS.filled(
+            [
+                f.effect,
+                *(" ".join(names) for names in (f.where.stations, f.where.targets, f.where.observables)),
+                *(f.evidence.probability, p.name, p.value, p.sigma, p.unit),
+            ]
+            for f in self.findings
+            for p in f.parameters or (nothing,)
+        )
 
     def modelled_change(self, recording: Recording) -> Floats:
         """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
@@ -134,27 +188,3 @@ class Diagnosis(Result):
     def coefficients(self) -> int:
         """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings."""
         return self.adjusted.problem.model.effects_size or sum(len(finding.parameters) for finding in self.findings)
-
-    def file(self, recording: Recording | None = None) -> DiagnosisFile:
-        """The content of `diagnosis.json`, which names the recording where that is given."""
-        return DiagnosisFile(
-            verdict=self.verdict,
-            summary=self.summary,
-            global_test=GlobalTest(
-                statistic=self.statistic, dof=self.dof, p_value=self.p_value, search_p_value=self.search_p_value
-            ),
-            findings=self.findings,
-            tests=self.tests,
-            fit=BeforeAfter(before=self.before, after=self.after),
-            undetectable=self.undetectable,
-            detectable=tuple(
-                DetectableEntry(effect=d.effect, parameter=d.parameter, size=d.typical / FACTOR[d.unit], unit=d.unit)
-                for d in self.detectable
-            ),
-            instruments=self.instruments,
-            recording=None if recording is None else SourceEntry.of(recording),
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """The contents of diagnosis.json (format ltsim-diagnosis/1)."""
-        return self.file().content()

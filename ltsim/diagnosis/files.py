@@ -9,7 +9,7 @@ from ltsim.adjustment.unmodelled import joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile
+from ltsim.diagnosis.schema import BEFORE, TARGETS
 from ltsim.recordings.native import OBSERVATIONS, SETUP, recording_texts
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
@@ -25,8 +25,8 @@ COMPANIONS = (
 )
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> DiagnosisFile:
-    """Write a diagnosis into a folder, with the recording it is of where that is given; the content of its JSON.
+def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
+    """Write a diagnosis into a folder, with its recording where that is given; the diagnosis with the digests.
 
     `targets.csv` holds the coordinates adjusted with the findings modelled, `targets.covariance.csv` their joint
     covariance with the variance between explanations, `residuals.csv` their residuals, `residuals_before.csv`
@@ -48,7 +48,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING)
         texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}
-    return write_result(folder, diagnosis.file(recording), texts)
+    return write_result(folder, diagnosis, texts)
 
 
 def targets_csv(diagnosis: Diagnosis) -> str:

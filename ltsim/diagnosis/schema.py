@@ -1,17 +1,17 @@
-"""Models of diagnosis.json as they stand in the file, and the tables that are written with it."""
+"""Entries of diagnosis.json, and the tables of a diagnosis."""
 
 from dataclasses import replace
-from typing import ClassVar, Literal, Self
+from typing import Self
 
 from pydantic import Field
 
-from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.remedies.detectability import MinimalSize
 from ltsim.calibration.combinations import DeterminedEntry
 from ltsim.calibration.schema import COORDINATES, RESIDUALS
-from ltsim.core.results import Table, numbers
+from ltsim.core.results import Column, Table, columns_of, numbers, texts
 from ltsim.core.units import FACTOR
 from ltsim.physics.effects.signature import Parameter, ShapeParameter
-from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 TARGETS = Table(
     "targets.csv",
@@ -194,6 +194,12 @@ class DetectableEntry(Entry):
     unit: str = ""
     """Unit of the size."""
 
+    @classmethod
+    def of(cls, minimal: MinimalSize) -> Self:
+        """The entry of a size, that at a median place."""
+        size = minimal.typical / FACTOR[minimal.unit]
+        return cls(effect=minimal.effect, parameter=minimal.parameter, size=size, unit=minimal.unit)
+
 
 class InstrumentEntry(Entry):
     """The ordinary calibration of one instrument."""
@@ -206,27 +212,33 @@ class InstrumentEntry(Entry):
     """Combinations that the recording determines."""
 
 
-class DiagnosisFile(ResultFile):
-    """`diagnosis.json`: from `diagnose`."""
-
-    FILE: ClassVar[str] = "diagnosis.json"
-    format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
-    """Format and version of this file."""
-    verdict: str
-    """`consistent`, or `mismatch`."""
-    summary: str
-    """The answer in a few sentences."""
-    global_test: GlobalTest
-    """Global test of the ordinary model."""
-    findings: tuple[Finding, ...] = ()
-    """Unmodelled causes that explain the readings."""
-    tests: tuple[Test, ...] = ()
-    """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
-    fit: BeforeAfter | None = None
-    """Misfit without and with the findings."""
-    undetectable: tuple[Undetectable, ...] = ()
-    """Effects that are not detectable in this network."""
-    detectable: tuple[DetectableEntry, ...] = ()
-    """Smallest detectable sizes of all other effects."""
-    instruments: tuple[InstrumentEntry, ...] = ()
-    """Ordinary calibration of each instrument."""
+FINDINGS = Table(
+    "findings.csv",
+    "findings, a row per parameter",
+    (
+        *texts(effect="id of the catalogue, or `unknown`", stations="where it acts; empty for all"),
+        *texts(targets="where it acts; empty for all", observables="on which it acts"),
+        Column("probability", "of this name against all other explanations"),
+        *texts(parameter="of the effect"),
+        Column("value", "estimated size", sigma="sigma"),
+        Column("sigma", "its standard deviation"),
+        *texts(unit="of value and sigma"),
+    ),
+)
+FIT = Table(
+    "fit.csv",
+    "fit before and after",
+    (
+        *texts(model="without or with the findings"),
+        Column("chi2", "weighted sum of squares"),
+        Column("degrees_of_freedom"),
+        Column("ratio", "chi-square per degree of freedom", shown=".3f"),
+        Column("held_out_error", "normalised error on observations that the fit did not see", digits=3),
+    ),
+)
+UNDETECTABLE = Table(
+    "undetectable.csv",
+    "effects that leave no residual",
+    columns_of(Undetectable, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
+)
+DETECTABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

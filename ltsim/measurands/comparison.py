@@ -20,7 +20,7 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, Result, Table, numbers
+from ltsim.core.results import Column, Table, numbers
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
@@ -74,7 +74,7 @@ class Displacement(Entry):
         return [self.target, self.moved, *sizes, self.p_value, self.visible_um[1]]
 
 
-class Comparison(ResultFile, Result):
+class Comparison(ResultFile):
     """`comparison.json`: from `compare`; `recording` is the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
@@ -100,8 +100,6 @@ class Comparison(ResultFile, Result):
     """Assumptions about the epochs: motions that they leave undetermined, names that are exchanged."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacements, one per common point, in the order of the first recording."""
-
-    __repr__ = __str__ = Result.__repr__
 
     def _lines(self) -> list[str]:
         return [

@@ -9,7 +9,7 @@ from scipy import special
 
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import expanded
-from ltsim.core.results import Column, Result, Table, numbers, texts
+from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.measurands.spec import Decision, Tolerance
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
 
@@ -35,6 +35,28 @@ BUDGET = Table(
         *texts(task="name", result="name", source="of uncertainty"),
         *texts(type="A, B, or not included: no reading shows it", unit="of u"),
         *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+    ),
+)
+CONFORMITY = Table(
+    "conformity.csv",
+    "results against their tolerances (JCGM 106)",
+    (
+        *texts(task="name", result="name"),
+        Column("lower", "limit of the tolerance", digits=6),
+        Column("upper", "limit of the tolerance", digits=6),
+        Column("guard_band", "between the limits of tolerance and of acceptance", digits=6),
+        *texts(unit="of limits and guard band"),
+        Column("conforms_percent", "probability that the true value lies within the tolerance", shown=".1f"),
+        *texts(judgement="accepted, rejected or undecided"),
+    ),
+)
+HIDDEN = Table(
+    "hidden.csv",
+    "errors that no reading shows, and that the uncertainty does not include",
+    (
+        *texts(task="name", result="name", error="its description"),
+        Column("change", "of the result, in its unit", digits=3),
+        *texts(unit="of the change"),
     ),
 )
 NOT_INCLUDED = "not included"
@@ -155,7 +177,7 @@ class TaskResult(Entry):
         ]
 
 
-class Uncertainty(ResultFile, Result):
+class Uncertainty(ResultFile):
     """`uncertainty.json`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
@@ -180,8 +202,6 @@ class Uncertainty(ResultFile, Result):
     warnings: tuple[str, ...] = ()
     """Warnings to heed before the numbers are used."""
 
-    __repr__ = __str__ = Result.__repr__
-
     def _lines(self) -> list[str]:
         lines = [r.words for r in self.results[:MOST_REPORTED]]
         more = len(self.results) - len(lines)
@@ -196,7 +216,21 @@ class Uncertainty(ResultFile, Result):
         rows += [
             (r.task, r.name, p.source, NOT_INCLUDED, r.unit, None, p.change) for r in self.results for p in r.hidden
         ]
-        return {"results": lambda: RESULTS.filled(r.row for r in self.results), "budget": lambda: BUDGET.filled(rows)}
+        return {
+            "results": lambda: RESULTS.filled(r.row for r in self.results),
+            "budget": lambda: BUDGET.filled(rows),
+            "conformity": self._conformity,
+            "hidden": lambda: HIDDEN.filled(
+                [r.task, r.name, part.source, part.change, r.unit] for r in self.results for part in r.hidden
+            ),
+        }
+
+    def _conformity(self) -> Table:
+        return CONFORMITY.filled(
+            [r.task, r.name, c.lower, c.upper, c.guard_band, r.unit, 100 * c.probability, c.judgement]
+            for r in self.results
+            if (c := r.conformity)
+        )
 
 
 def conformity(

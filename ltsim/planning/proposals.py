@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ltsim.adjustment.remedies.next_measurement import Proposal, RankedProposals
 from ltsim.adjustment.remedies.remedy import listed
-from ltsim.core.results import Result, Table, columns_of
+from ltsim.core.results import Column, Table, columns_of, texts
 from ltsim.physics.effects import title_of
 from ltsim.planning.plan_change import in_degrees, in_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
@@ -64,13 +64,18 @@ NEXT = Table(
     columns_of(
         ProposalEntry,
         "kind minutes sharper serves serves_factor distinguishes decides do",
+        minutes={"title": "time", "unit": "min", "shown": ".0f"},
+        sharper={"title": "factor on sigmas", "shown": ".2f"},
+        serves={"title": "most for"},
+        serves_factor={"title": "factor for it", "shown": ".2f"},
         distinguishes={"kind": "text"},
         decides={"kind": "text"},
+        do={"title": "measurement"},
     ),
 )
 
 
-class NextMeasurement(ResultFile, Result):
+class NextMeasurement(ResultFile):
     """`next.json`: the result of `next_measurement`, written by `plan --after`."""
 
     FILE: ClassVar[str] = "next.json"
@@ -86,8 +91,6 @@ class NextMeasurement(ResultFile, Result):
     """First action to take, as a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
     """Proposals of further measurements, the best first."""
-
-    __repr__ = __str__ = Result.__repr__
 
     @classmethod
     def of(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
@@ -105,7 +108,22 @@ class NextMeasurement(ResultFile, Result):
         return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"proposals": self._proposals}
+        return {"proposals": self._proposals, "separation": self._separation}
 
     def _proposals(self) -> Table:
         return NEXT.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
+
+    def _separation(self) -> Table:
+        """Evidence between the first explanation and each other one: now, and after each measurement."""
+        rivals = self.between[1:]
+        against = tuple(
+            Column(f"chi2_against_{name}", "expected difference of chi-square", digits=3) for name in rivals
+        )
+        columns = (*texts(measurement="action"), *against, *texts(decides="yes if it separates all of them"))
+        rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
+        rows += [
+            [p.do, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.decides else "no"]
+            for p in self.proposals
+            if p.evidence
+        ]
+        return Table("separation.csv", "separation of the explanations", columns).filled(rows)

@@ -7,8 +7,9 @@ from typing import ClassVar, Literal, Self
 from pydantic import PrivateAttr
 
 from ltsim.adjustment.remedies.detectability import detectability
+from ltsim.core.arguments import source_path
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Result, Table
+from ltsim.core.results import Table
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning import tables
 from ltsim.planning.layout_scenario import PLAN, SCENARIO, planned_scenario, with_cad_copied
@@ -29,7 +30,7 @@ FRAME = (
 """Coordinate system of all coordinates, in words."""
 
 
-class Plan(ResultFile, LayoutEntry, Result):
+class Plan(ResultFile, LayoutEntry):
     """`plan.json`: the result of `plan`, in Python, on the terminal and on the page."""
 
     FILE: ClassVar[str] = "plan.json"
@@ -76,8 +77,6 @@ class Plan(ResultFile, LayoutEntry, Result):
     """Effects that leave no trace in the residuals."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
-
-    __repr__ = __str__ = Result.__repr__
 
     @classmethod
     def of(cls, network: PlannedNetwork) -> Self:
@@ -195,7 +194,7 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
     """A plan and its scenario: a plan file, a scenario, a plan's folder with its stations, or what the board saved."""
-    folder = Path(source)
+    folder = source_path(source)
     if (folder / PLAN).is_file():
         return load_plan(folder / PLAN)
     if not folder.is_dir():

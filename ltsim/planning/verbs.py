@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import Progress, next_measurement as ranked, quiet
-from ltsim.core.arguments import check_bounds
+from ltsim.core.arguments import MOVE_FORM, check_bounds, check_mapping
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -30,7 +30,6 @@ CLEAR = 2.0
 """[m]: how far from an impossible place, and from each other, places for its station are."""
 MOST = 4
 """Places that are proposed."""
-MOVE_FORM = "x, y, x, y, z or x, y, z, yaw in mm and degrees, such as S2=5000,3000"
 
 
 def plan(
@@ -75,7 +74,8 @@ def plan(
     >>> made.to_dataframe("stations").shape
     (3, 9)
     """
-    check_bounds(starts=starts, seed=seed, jobs=jobs)
+    check_bounds(starts=starts, seed=seed, jobs=jobs, required="jobs")
+    check_mapping("move", move)
     file, scenario = opened(source)
     if move is not None:
         return Plan.of(_moved(file, scenario, move))
@@ -198,9 +198,7 @@ def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]
     survey = site.survey
     position, yaw = survey.position.copy(), survey.yaw.copy()
     for name, given in to.items():
-        slot, place = _index(survey, name), np.array(given, dtype=np.float64).ravel()
-        if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
-            raise SetupError(f"{option('move')} {name}: expected {MOVE_FORM}")
+        slot, place = _index(survey, name), _place_of(name, given)
         position[slot, : len(place[:3])] = place[:3] * MILLIMETRE
         yaw[slot] = place[3] * DEGREE if len(place) == 4 else yaw[slot]
     survey = survey.replace(position=position, yaw=yaw)
@@ -208,6 +206,18 @@ def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]
     if wrong:
         raise SetupError(f"{option('move')}: {words_of(wrong)}")
     return judge(file, scenario, survey.replace(visible=site.visible(position)))
+
+
+def _place_of(name: str, given: object) -> Floats:
+    """Numbers (2 to 4) of a place to move to; raises SetupError."""
+    words = np.ravel(np.asarray(given, dtype=object)).tolist()
+    try:
+        place = np.array(words, dtype=np.float64)
+    except (TypeError, ValueError):
+        place = np.zeros(0)
+    if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
+        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_FORM}")
+    return place
 
 
 def _at(station: str, place: Floats) -> str:

@@ -1,4 +1,4 @@
-"""Result files: JSON with a pydantic model per file, which the writer fills and every reader validates.
+"""Results that have a file: one pydantic model each, the object in Python and, without its arrays, the JSON file.
 
 The JSON file holds digests of its companion files and of the recording, so that tables of different runs are never
 mixed.
@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -29,7 +29,8 @@ from pydantic_core import CoreSchema
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import JSON_VALUES
-from ltsim.core.results import LARGEST
+from ltsim.core.results import LARGEST, Result
+from ltsim.core.values import equal_values
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.files import read_bytes, read_text, shown, write_texts
 from ltsim.recordings.recording import Recording
@@ -91,6 +92,10 @@ class Entry(DescribedModel):
         _fail_fast(schema)
         return schema
 
+    def with_values(self, **values: Any) -> Self:
+        """The entry with other values of some fields, validated, so that what is not finite is null."""
+        return type(self).model_validate({name: getattr(self, name) for name in self.model_fields_set} | values)
+
 
 class SourceEntry(Entry):
     """The recording behind a result.
@@ -124,8 +129,12 @@ class SourceEntry(Entry):
         return cls(title=coordinates.title, pointings=0, digest=hashlib.sha256(content).hexdigest())
 
 
-class ResultFile(Entry):
-    """Base model of a result file; subclasses set `FILE` and `format`."""
+class ResultFile(Entry, Result):
+    """Base model of a result: the object that a verb returns and the content of its file.
+
+    Subclasses set `FILE` and `format`. Arrays that the file does not hold are in private attributes, which do not take
+    part in comparisons.
+    """
 
     FILE: ClassVar[str]
     format: str
@@ -134,6 +143,12 @@ class ResultFile(Entry):
     """The recording behind the result."""
     files: dict[str, str] = Field(default_factory=dict)
     """Digest (SHA-256) of each companion file."""
+
+    __repr__ = __str__ = Result.__repr__
+    __hash__ = Result.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        return equal_values(self, other)
 
     def content(self) -> dict[str, Any]:
         """Content of the file: its format and the fields that were set, as JSON values."""

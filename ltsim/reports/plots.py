@@ -10,9 +10,8 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.evaluation.bench import BenchFile
 from ltsim.adjustment.evaluation.criteria import Criteria
-from ltsim.adjustment.fieldcheck.check import Check
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
 from ltsim.campaigns.judging import Judged
 from ltsim.campaigns.paired import Paired
@@ -97,11 +96,9 @@ def _(result: Diagnosis) -> Figure:
 
 @figure_of.register
 def _(result: History) -> Figure:
-    content = history_file(result)
-    determined = [course for course in content.parameters if course.constant.dof]
-    if not determined:
+    if not result.determined:
         raise ModelError("no parameter of these calibrations is determined; there is no figure")
-    return history_figure([c.label for c in content.calibrations], determined)
+    return history_figure(result.labels, result.determined)
 
 
 @figure_of.register

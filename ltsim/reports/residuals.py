@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.arrays import residuals_table
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError

@@ -13,16 +13,18 @@ from pydantic import BaseModel
 from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
 from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
-from ltsim.adjustment.evaluation.criteria import NOMINAL, CriteriaFile
-from ltsim.adjustment.fieldcheck import items as checks
-from ltsim.calibration.history_schema import HistoryFile
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.adjustment.evaluation.criteria import NOMINAL, Criteria
+from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.history import History
+from ltsim.calibration.schema import RESIDUALS, TARGETS
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_trials import TRIALS
 from ltsim.campaigns.schema import ROWS, ManifestFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.core.results import Table
 from ltsim.diagnosis import schema as diagnosis
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.measurands import comparison, uncertainty
 from ltsim.measurands.spec import Tasks
 from ltsim.planning import tables as plan_tables
@@ -33,28 +35,28 @@ from ltsim.recordings.files import write_texts
 from ltsim.recordings.result_file import ResultFile
 from ltsim.recordings.setup import Setup
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.truth import TruthFile
+from ltsim.simulation.truth import Truth
 
 RESULTS: tuple[type[ResultFile], ...] = (
-    CalibrationFile,
-    HistoryFile,
-    CriteriaFile,
-    diagnosis.DiagnosisFile,
+    Calibration,
+    History,
+    Criteria,
+    Diagnosis,
     Plan,
     NextMeasurement,
     ManifestFile,
     Recovery,
     uncertainty.Uncertainty,
     comparison.Comparison,
-    checks.CheckFile,
+    Check,
     acceptance.AcceptanceFile,
     BenchFile,
+    Truth,
 )
 """Models of the files that verbs write."""
 
 FILES: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULTS},
-    "truth.json": TruthFile,
     "setup.toml": Setup,
     "scenario.toml": Scenario,
     "campaign.toml": Campaign,
@@ -65,14 +67,14 @@ FILES: dict[str, type[BaseModel]] = {
 """Models of all files, including those that users write, by name."""
 
 TABLES: dict[str, tuple[Table, ...]] = {
-    CalibrationFile.FILE: (TARGETS, RESIDUALS),
+    Calibration.FILE: (TARGETS, RESIDUALS),
     BenchFile.FILE: (BENCH,),
-    "truth.json": (NOMINAL,),
-    diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
+    Truth.FILE: (NOMINAL,),
+    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     Plan.FILE: plan_tables.TABLES,
     NextMeasurement.FILE: (NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
-    checks.CheckFile.FILE: (checks.TWO_FACE,),
+    Check.FILE: (TWO_FACE,),
     comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.Uncertainty.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),

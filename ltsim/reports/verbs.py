@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ltsim.core.arguments import check_choice
+from ltsim.core.arguments import check_choice, source_path
 from ltsim.core.errors import require
 from ltsim.core.results import Result
+from ltsim.core.storage import check_writable
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
@@ -39,12 +40,14 @@ class View(Result):
         """Write a picture."""
         from ltsim.reports import scene3d
 
+        check_writable(Path(path), folder=False)
         write_text(Path(path), scene3d.picture(self.workshop))
 
     def html(self, path: str | Path) -> None:
         """Write an interactive page for a browser, which works offline."""
         from ltsim.reports.scene_page import scene_page
 
+        check_writable(Path(path), folder=False)
         write_text(Path(path), scene_page(self.workshop))
 
     def show(self) -> None:
@@ -88,8 +91,8 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
     """
-    check_choice("cad_unit", cad_unit, tuple(WORDS))
-    check_choice("cad_up", cad_up, ("y", "z"))
+    check_choice("cad_unit", cad_unit, tuple(WORDS), optional=True)
+    check_choice("cad_up", cad_up, ("y", "z"), optional=True)
     check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")
     shown = _workshop_of(source).coloured(colour)
@@ -102,10 +105,11 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
 
     if isinstance(source, Recording):
         return from_recording(source)
-    if isinstance(source, Scenario) or str(source) in builtin_names():
-        return from_scenario(scenario(source))
-    path = Path(source)
-    if (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists():
+    if isinstance(source, Scenario):
+        return from_scenario(source)
+    path = source_path(source)
+    is_scenario = (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists()
+    if is_scenario or str(source) in builtin_names():
         return from_scenario(scenario(source))
     return from_recording(read(path))
 

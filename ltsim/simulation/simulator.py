@@ -30,7 +30,7 @@ from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, nominal_noise, quantised, resolution_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
-from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
+from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
 
 Geometry = Literal["shared", "per-trial"]
 """All trials share one placing of stations and targets, or each has its own."""
@@ -219,27 +219,22 @@ def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed
     nominal = None
     if scenario.cmm.nominal:
         nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ()))
-    return Truth(
-        title=scenario.title,
-        seed=seed,
-        trial=trial,
-        stations=s.station_names,
+    arrays = TruthArrays(
         position=s.position,
         rotation=s.rotation,
-        targets=s.target_names,
         points=s.points,
-        construction=work.construction.name,
         instrument=dict(zip(names, instrument.ravel().tolist(), strict=True)),
-        units=dict(zip(names, [p.unit for p in work.construction.parameters] * len(trackers), strict=True)),
         effects=tuple(AppliedEffect(e, v) for e, v in zip(work.effects, values, strict=True)),
-        noise_factor=scenario.instrument.noise_factor,
-        trackers=tuple(
-            TrackerTruth(name=name, stations=scenario.stations_of(name), noise_factor=tracker.noise_factor)
-            for name, tracker in trackers.items()
-            if scenario.instruments
-        ),
         nominal=nominal,
     )
+    units = [p.unit for p in work.construction.parameters] * len(trackers)
+    named = tuple(
+        TrackerTruth(name=name, stations=scenario.stations_of(name), noise_factor=tracker.noise_factor)
+        for name, tracker in trackers.items()
+    )
+    noise = {"instruments": named} if scenario.instruments else {"noise_factor": scenario.instrument.noise_factor}
+    settings = {"title": scenario.title, "seed": seed, "trial": trial, "construction": work.construction.name}
+    return Truth.of(arrays, s.station_names, s.target_names, units, **settings, **noise)
 
 
 def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:

@@ -1,29 +1,36 @@
 """Truth of a simulated recording, in a separate file (ltsim-truth/1) that no calibrator opens."""
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from scipy.spatial.transform import Rotation
 
 from ltsim.adjustment.evaluation.criteria import NOMINAL
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, RecordError, SetupError
-from ltsim.core.results import Columns, Result
+from ltsim.core.errors import LtsimError, ModelError
+from ltsim.core.results import Table, numbers, texts
 from ltsim.core.units import FACTOR, MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.rotations import quaternion
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import shape_of
-from ltsim.recordings.files import write_text
-from ltsim.recordings.result_file import read_json
-from ltsim.recordings.settings import checked
-from ltsim.recordings.setup import Finite, TomlSection, Vector
-from ltsim.simulation.sections import PlacedEffect
+from ltsim.physics.effects.verbs import effect_from, shape_of
+from ltsim.recordings.files import shown, write_text
+from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
+
+INSTRUMENT = Table(
+    "instrument.csv",
+    "true errors of the instruments",
+    (*texts(parameter="name"), *numbers(value="true value"), *texts(unit="of the value")),
+)
+POINTS = Table(
+    "points.csv",
+    "true positions of the targets, in the workshop's frame",
+    (*texts(target="name"), *numbers("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,32 @@ class AppliedEffect(ValueEquality):
     values: Floats
 
 
-class TrackerTruth(TomlSection):
+@dataclass(frozen=True)
+class TruthArrays(ValueEquality):
+    """True values in SI units, in the workshop's frame."""
+
+    position: Floats
+    """Positions of the stations, (S, 3) [m]."""
+    rotation: Floats
+    """Instrument frame to workshop, (S, 3, 3)."""
+    points: Floats
+    """Positions of the targets, without the displacements of effects, (T, 3) [m]."""
+    instrument: Mapping[str, float]
+    """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
+    effects: tuple[AppliedEffect, ...] = ()
+    """Applied effects, in addition to the instrument's parameters."""
+    nominal: Floats | None = None
+    """The targets as a measuring machine gave them, (T, 3) [m]."""
+
+
+def _require_unit(unit: str) -> str:
+    """The unit itself; ValueError for an unknown one."""
+    if unit not in FACTOR:
+        raise ValueError(f"'{shown(unit)}' is no unit, expected one of {', '.join(FACTOR)}")
+    return unit
+
+
+class TrackerTruth(Entry):
     """An instrument with a name."""
 
     name: str
@@ -45,123 +77,34 @@ class TrackerTruth(TomlSection):
     """Ratio of its true noise to the declared noise."""
 
 
-@dataclass(frozen=True, repr=False)
-class Truth(Result):
-    """True values from which a recording was simulated; SI units, the workshop's frame."""
-
-    title: str
-    seed: int
-    stations: tuple[str, ...]
-    position: Floats
-    """(S, 3) [m]."""
-    rotation: Floats
-    """Instrument frame to workshop, (S, 3, 3)."""
-    targets: tuple[str, ...]
-    points: Floats
-    """Positions without the displacements of effects, (T, 3) [m]."""
-    construction: str
-    instrument: Mapping[str, float]
-    """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
-    units: Mapping[str, str]
-    """Display unit of each parameter."""
-    effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
-    """Applied effects, in addition to the instrument's parameters."""
-    noise_factor: float = 1.0
-    """Ratio of the drawn noise to the declared noise, of an instrument without a name."""
-    trackers: tuple[TrackerTruth, ...] = ()
-    """Named instruments; empty for an instrument without a name."""
-    nominal: Floats | None = None
-    """The targets as a measuring machine gave them, (T, 3) [m]."""
-    trial: int = 0
-    """Number of the trial among those of its seed."""
-
-    def _lines(self) -> list[str]:
-        title = f"{self.title}: " if self.title else ""
-        effects = ", ".join(applied.effect.name for applied in self.effects) or "no effects"
-        return [f"Truth: {title}seed {self.seed}, {len(self.instrument)} instrument parameters, {effects}"]
-
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"instrument": self._instrument, "targets": self._targets}
-
-    def _instrument(self) -> Columns:
-        return {
-            "parameter": list(self.instrument),
-            "value": [value / FACTOR[self.units[name]] for name, value in self.instrument.items()],
-            "unit": list(self.units.values()),
-        }
-
-    def _targets(self) -> Columns:
-        x, y, z = (self.points / MILLIMETRE).T
-        return {"target": list(self.targets), "x_mm": x.tolist(), "y_mm": y.tolist(), "z_mm": z.tolist()}
-
-    def to_json(self) -> dict[str, Any]:
-        """The contents of a truth file."""
-        trackers = {"instruments": [tracker.model_dump(mode="json") for tracker in self.trackers]}
-        content: dict[str, Any] = {
-            "format": TruthFile.model_fields["format"].default,
-            "title": self.title,
-            "seed": self.seed,
-            "trial": self.trial,
-            "construction": self.construction,
-            "parameters": [_number(name, value, self.units[name]) for name, value in self.instrument.items()],
-            "effects": [_effect_to_json(applied) for applied in self.effects],
-            **(trackers if self.trackers else {"noise_factor": self.noise_factor}),
-            "stations": [
-                _point(name, place) | {"rotation_quaternion": quaternion(turn).tolist()}
-                for name, place, turn in zip(self.stations, self.position, self.rotation, strict=True)
-            ],
-            "targets": [_point(*target) for target in zip(self.targets, self.points, strict=True)],
-        }
-        if self.nominal is not None:
-            content["nominal"] = [_point(*target) for target in zip(self.targets, self.nominal, strict=True)]
-        return content
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Self:
-        """The truth of a truth file's contents; raises RecordError."""
-        table = checked(content, TruthFile, "truth file", file)
-        unknown = {p.unit for p in table.parameters} - set(FACTOR)
-        if unknown:
-            raise RecordError(f"'{unknown.pop()}' is no unit, expected one of {', '.join(FACTOR)}", file=file)
-        targets = [p.position_mm for p in table.targets]
-        nominal = [p.position_mm for p in table.nominal or ()]
-        if nominal and [p.name for p in table.nominal or ()] != [p.name for p in table.targets]:
-            raise RecordError("the nominal points are not those of the targets, in their order", file=file)
-        return cls(
-            title=table.title,
-            seed=table.seed,
-            trial=table.trial,
-            stations=tuple(s.name for s in table.stations),
-            position=np.array([s.position_mm for s in table.stations]).reshape(-1, 3) * MILLIMETRE,
-            rotation=Rotation.from_quat([s.rotation_quaternion for s in table.stations]).as_matrix(),
-            targets=tuple(p.name for p in table.targets),
-            points=np.array(targets).reshape(-1, 3) * MILLIMETRE,
-            construction=table.construction,
-            instrument={p.flat_name: p.value * FACTOR[p.unit] for p in table.parameters},
-            units={p.flat_name: p.unit for p in table.parameters},
-            effects=tuple(_effect_from_json(e, file) for e in table.effects),
-            noise_factor=table.noise_factor,
-            trackers=table.instruments,
-            nominal=np.array(nominal) * MILLIMETRE if nominal else None,
-        )
-
-
-class _Number(TomlSection):
+class TrueValue(Entry):
     """A parameter."""
 
     name: str
-    """Name of the effect."""
+    """Name of the parameter."""
     value: Finite
     """True value."""
-    unit: str
+    unit: Annotated[str, AfterValidator(_require_unit)]
     """Unit of the value."""
 
+    @property
+    def si(self) -> float:
+        """True value [SI]."""
+        return self.value * FACTOR[self.unit]
 
-class _InstrumentNumber(_Number):
+
+class InstrumentValue(TrueValue):
     """A parameter of an instrument."""
 
     instrument: str = ""
     """Name of the instrument, where there are several."""
+
+    @classmethod
+    def of(cls, flat_name: str, value: float, unit: str) -> Self:
+        """The entry of a value [SI]; `flat_name` as of `Construction.names_of`."""
+        name, _, instrument = flat_name.partition("@")
+        whose = {"instrument": instrument} if instrument else {}
+        return cls(name=name, value=value / FACTOR[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
@@ -169,34 +112,62 @@ class _InstrumentNumber(_Number):
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
-class _Effect(PlacedEffect):
+class TrueEffect(Entry):
     """An effect of the catalogue."""
 
     name: str = Field(alias="effect")
     """Name of the effect in the catalogue."""
-    parameters: tuple[_Number, ...] = ()
+    stations: tuple[str, ...] = ()
+    """Stations where it acts; empty for all."""
+    targets: tuple[str, ...] = ()
+    """Targets where it acts; empty for all."""
+    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    """Constants by name, in display units where the effect declares one and in SI otherwise."""
+    parameters: tuple[TrueValue, ...] = ()
     """True values of its parameters."""
 
+    @classmethod
+    def of(cls, applied: AppliedEffect) -> Self:
+        """The entry of an effect."""
+        effect, values = applied.effect, applied.values.tolist()
+        return cls(
+            effect=effect.name,
+            stations=effect.stations,
+            targets=effect.targets,
+            shape=shape_of(effect),
+            parameters=tuple(
+                TrueValue(name=p.name, value=value / p.factor, unit=p.unit)
+                for p, value in zip(effect.parameters, values, strict=True)
+            ),
+        )
 
-class _TruePoint(TomlSection):
+    def applied(self) -> AppliedEffect:
+        """The effect as an object, with its values [SI]; raises LtsimError."""
+        effect = effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
+        values = {p.name: p.value for p in self.parameters}
+        return AppliedEffect(effect, np.array([values.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+
+
+class TruePoint(Entry):
     """A point."""
 
     name: str
-    """Name of the effect."""
+    """Name of the point."""
     position_mm: Vector
-    """True position in the workshop's frame."""
+    """Position in the workshop's frame."""
 
 
-class _Pose(_TruePoint):
+class TruePose(TruePoint):
     """A station."""
 
-    rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
+    rotation_quaternion: Quaternion
     """Rotation from instrument to workshop, as a unit quaternion x, y, z, w."""
 
 
-class TruthFile(TomlSection):
-    """`truth.json`: from `simulate --truth`."""
+class Truth(ResultFile):
+    """`truth.json`: the true values from which a recording was simulated."""
 
+    FILE: ClassVar[str] = "truth.json"
     format: Literal["ltsim-truth/1"] = "ltsim-truth/1"
     """Format and version of this file."""
     title: str = ""
@@ -207,61 +178,151 @@ class TruthFile(TomlSection):
     """Number of the trial among those of its seed."""
     construction: str
     """Construction whose model made the readings."""
-    parameters: tuple[_InstrumentNumber, ...] = ()
+    parameters: tuple[InstrumentValue, ...] = ()
     """True errors of the instruments."""
-    effects: tuple[_Effect, ...] = ()
+    effects: tuple[TrueEffect, ...] = ()
     """Effects beyond the errors of the instruments."""
     noise_factor: Finite = 1.0
     """Ratio of the true noise to the declared noise, of an instrument without a name."""
     instruments: tuple[TrackerTruth, ...] = ()
     """The instruments, where they have names."""
-    stations: tuple[_Pose, ...] = Field(min_length=1)
+    stations: tuple[TruePose, ...] = Field(min_length=1)
     """True poses of the stations."""
-    targets: tuple[_TruePoint, ...] = Field(min_length=1)
+    targets: tuple[TruePoint, ...] = Field(min_length=1)
     """True positions of the targets."""
-    nominal: tuple[_TruePoint, ...] | None = None
+    nominal: tuple[TruePoint, ...] | None = None
     """Positions of the targets measured by a coordinate measuring machine."""
+    _arrays: TruthArrays | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _effects_and_nominal_points_exist(self) -> Self:
+        if self.nominal is not None and [p.name for p in self.nominal] != [p.name for p in self.targets]:
+            raise ValueError("the nominal points are not those of the targets, in their order")
+        try:
+            for entry in self.effects:
+                entry.applied()
+        except (LtsimError, TypeError, KeyError) as problem:
+            raise ValueError(f"effects: {problem}") from None
+        return self
+
+    @classmethod
+    def of(
+        cls,
+        arrays: TruthArrays,
+        stations: Sequence[str],
+        targets: Sequence[str],
+        units: Sequence[str],
+        **fields: object,
+    ) -> Self:
+        """The truth of arrays with the names of stations and targets and the units of the parameters.
+
+        `fields` are the further ones of the model.
+        """
+        nominal = {} if arrays.nominal is None else {"nominal": _points(targets, arrays.nominal)}
+        made = cls.model_validate(
+            {
+                **fields,
+                "parameters": tuple(
+                    InstrumentValue.of(name, value, unit)
+                    for (name, value), unit in zip(arrays.instrument.items(), units, strict=True)
+                ),
+                "effects": tuple(map(TrueEffect.of, arrays.effects)),
+                "stations": tuple(
+                    TruePose(name=p.name, position_mm=p.position_mm, rotation_quaternion=quaternion(turn).tolist())
+                    for p, turn in zip(_points(stations, arrays.position), arrays.rotation, strict=True)
+                ),
+                "targets": _points(targets, arrays.points),
+                **nominal,
+            }
+        )
+        made._arrays = arrays
+        return made
+
+    @property
+    def arrays(self) -> TruthArrays:
+        """The true values in SI units."""
+        if self._arrays is None:
+            self._arrays = TruthArrays(
+                position=_positions(self.stations),
+                rotation=Rotation.from_quat([s.rotation_quaternion for s in self.stations]).as_matrix(),
+                points=_positions(self.targets),
+                instrument={p.flat_name: p.si for p in self.parameters},
+                effects=tuple(entry.applied() for entry in self.effects),
+                nominal=None if self.nominal is None else _positions(self.nominal),
+            )
+        return self._arrays
+
+    @property
+    def position(self) -> Floats:
+        """True positions of the stations, (S, 3) [m]."""
+        return self.arrays.position
+
+    @property
+    def rotation(self) -> Floats:
+        """Rotations from instrument frame to workshop, (S, 3, 3)."""
+        return self.arrays.rotation
+
+    @property
+    def points(self) -> Floats:
+        """True positions of the targets without the displacements of effects, (T, 3) [m]."""
+        return self.arrays.points
+
+    @property
+    def instrument(self) -> Mapping[str, float]:
+        """True values of the construction's parameters [SI], ``beam-tilt@NAME`` where there are several instruments."""
+        return self.arrays.instrument
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Display unit of each parameter."""
+        return {p.flat_name: p.unit for p in self.parameters}
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """Applied effects, in addition to the instrument's parameters."""
+        return self.arrays.effects
+
+    @property
+    def station_names(self) -> tuple[str, ...]:
+        """Names of the stations."""
+        return tuple(station.name for station in self.stations)
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the targets."""
+        return tuple(target.name for target in self.targets)
+
+    def _lines(self) -> list[str]:
+        title = f"{self.title}: " if self.title else ""
+        effects = ", ".join(effect.name for effect in self.effects) or "no effects"
+        return [f"Truth: {title}seed {self.seed}, {len(self.parameters)} instrument parameters, {effects}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {
+            "instrument": lambda: INSTRUMENT.filled([p.flat_name, p.value, p.unit] for p in self.parameters),
+            "targets": lambda: POINTS.filled([p.name, *p.position_mm] for p in self.targets),
+        }
 
 
-def _number(flat_name: str, value: float, unit: str) -> dict[str, Any]:
-    """A parameter [SI] in its unit; `flat_name` as of `Construction.names_of`."""
-    name, _, instrument = flat_name.partition("@")
-    whose = {"instrument": instrument} if instrument else {}
-    return {"name": name, "value": value / FACTOR[unit], "unit": unit, **whose}
+def _points(names: Sequence[str], positions: Floats) -> tuple[TruePoint, ...]:
+    """Entries of positions (n, 3) [m]."""
+    places = (positions / MILLIMETRE).tolist()
+    return tuple(TruePoint(name=name, position_mm=place) for name, place in zip(names, places, strict=True))
 
 
-def _point(name: str, position: Floats) -> dict[str, Any]:
-    return {"name": name, "position_mm": (position / MILLIMETRE).tolist()}
-
-
-def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:
-    effect, values = applied.effect, applied.values.tolist()
-    return {
-        "effect": effect.name,
-        "stations": list(effect.stations),
-        "targets": list(effect.targets),
-        "shape": shape_of(effect),
-        "parameters": [_number(p.name, v, p.unit) for p, v in zip(effect.parameters, values, strict=True)],
-    }
-
-
-def _effect_from_json(entry: _Effect, file: object) -> AppliedEffect:
-    try:
-        effect = entry.effect("effects")
-    except SetupError as problem:
-        raise RecordError(str(problem), file=file) from None
-    values = {p.name: p.value for p in entry.parameters}
-    return AppliedEffect(effect, np.array([values.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+def _positions(points: Sequence[TruePoint]) -> Floats:
+    """Positions (n, 3) [m] of entries."""
+    return np.array([p.position_mm for p in points]).reshape(-1, 3) * MILLIMETRE
 
 
 def write_truth(truth: Truth, path: Path) -> None:
     """Write a truth file at once."""
-    write_text(path, json.dumps(truth.to_json(), indent=1) + "\n")
+    write_text(path, truth.text())
 
 
 def read_truth(path: Path) -> Truth:
     """Read a truth file; raises RecordError."""
-    return Truth.from_json(read_json(path, "truth file"), path)
+    return read_result(path, Truth)
 
 
 def nominal_csv(truth: Truth) -> str:
@@ -271,5 +332,4 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    rows = ([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))
-    return NOMINAL.filled(rows).csv()
+    return NOMINAL.filled([p.name, *p.position_mm] for p in truth.nominal).csv()

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from ltsim.core.arguments import check_bounds, check_choice
+from ltsim.core.arguments import check_bounds, check_choice, check_mapping, source_path
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
 from ltsim.simulation.simulator import Geometry, simulate as measured
@@ -42,9 +42,10 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     >>> lt.scenario("paper-workshop", {"work.faces": 2})
     Scenario: The paper's workshop: 5 stations, 28 targets, two faces, no effects
     """
+    check_mapping("changes", changes)
     if isinstance(source, Scenario):
         return changed(source, changes, Path(source.title or "the scenario")) if changes else source
-    loaded = load_scenario(source)
+    loaded = load_scenario(source_path(source))
     return changed(loaded, changes, Path(source)) if changes else loaded
 
 
@@ -91,6 +92,6 @@ def simulate(
     >>> truth.to_dataframe("instrument").shape
     (16, 3)
     """
-    check_bounds(seed=seed, trial=trial)
+    check_bounds(seed=seed, trial=trial, required="seed trial")
     check_choice("geometry", geometry, get_args(Geometry))
     return Simulated(*measured(scenario(source, changes), seed, trial, geometry))

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError
-from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
 X = TypeVar("X")
 TOLERANCE = 1e-8

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.solve.blocks import BlockFactor, BlockSystem
 from ltsim.solve.design import Design, as_dense, column_scale
+from ltsim.solve.elimination import BlockFactor, BlockSystem
 
 DENSE = 4_000_000
 """Designs with fewer entries get a basis: dense products are so much faster than sparse ones."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.acceptance.judged import by_network
+from ltsim.acceptance.verbs import by_network
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import NetworkError

@@ -128,7 +128,7 @@ def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
         recording, truth = lt.simulate(scenario, seed=1)
         found = lt.adjust(recording)
         places = dict(zip(found.targets, found.points, strict=True))
-        told = np.array([places[name] for name in truth.targets])
+        told = np.array([places[name] for name in truth.target_names])
         gaps = np.linalg.norm(told[:, None] - told[None], axis=2) - np.linalg.norm(
             truth.points[:, None] - truth.points[None], axis=2
         )

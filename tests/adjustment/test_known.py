@@ -11,7 +11,6 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points, with_control
 from ltsim.adjustment.quality import warnings_of
-from ltsim.calibration.files import calibration_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
@@ -226,7 +225,7 @@ def test_two_lengths_that_are_right_contradict_nothing() -> None:
 
 def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
     found = calibrate_network(controlled(5, {"T12": 1.0}, faces=2), advise=False)
-    content = calibration_file(found).content()
+    content = found.content()
     entries = [e for e in content["reference_values"] if e["name"] == "T12"]
     assert [e["component"] for e in entries] == ["x", "y", "z"]
     assert all(e["excluded"] and e["unit"] == "mm" for e in entries)

@@ -143,7 +143,7 @@ def test_simulated_certificates_err_as_they_say_and_together() -> None:
     for seed in range(250):
         recording, truth = lt.simulate(scene(**{"work.repeats": 1}), seed=seed)
         gauge = GaugeRows.of(recording)
-        places = truth.points[[truth.targets.index(name) for name in recording.targets]]
+        places = truth.points[[truth.target_names.index(name) for name in recording.targets]]
         gaps.append(gauge.whitened(gauge.length - gauge.predict(places)))
         spread = gauge.spread
     both = np.array(gaps)

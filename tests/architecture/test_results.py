@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 import inspect
+import pkgutil
+import sys
 from typing import Any
 
 import pytest
 
+import ltsim
 import ltsim as lt
 from ltsim.core.descriptions import descriptions
 from ltsim.core.results import Result
@@ -15,31 +20,32 @@ from ltsim.reports.schemas import FILES, RESULTS
 
 FILE_OF: dict[str, str] = {
     "accept": "accept.json",
-    "bench": "bench.json",
-    "compare": "comparison.json",
-    "next_measurement": "next.json",
-    "plan": "plan.json",
-    "recover": "recovery.json",
-    "uncertainty": "uncertainty.json",
-}
-"""Verbs whose result is the model of its file."""
-OBJECTS: dict[str, str] = {
     "adjust": "calibration.json",
+    "bench": "bench.json",
     "calibrate": "calibration.json",
     "check": "check.json",
+    "compare": "comparison.json",
     "diagnose": "diagnosis.json",
     "evaluate": "criteria.json",
     "history": "history.json",
+    "next_measurement": "next.json",
+    "plan": "plan.json",
+    "recover": "recovery.json",
     "simulate": "truth.json",
+    "uncertainty": "uncertainty.json",
+    "verify": "criteria.json",
 }
-"""Verbs whose result is an object of arrays, from which the content of its file is made."""
+"""Verbs whose result is the model of its file."""
+SHARED = 3
+"""Names of fields that a data class may have in common with a result without repeating it."""
 
 
 def returned(verb: str) -> Any:
     """Class that a public function returns."""
     function = getattr(lt, verb)
     annotation = inspect.signature(function).return_annotation
-    return function.__globals__.get(annotation) if isinstance(annotation, str) else annotation
+    kind = function.__globals__.get(annotation) if isinstance(annotation, str) else annotation
+    return kind.__annotations__["truth"] if verb == "simulate" else kind
 
 
 @pytest.mark.parametrize(("verb", "file"), FILE_OF.items())
@@ -53,8 +59,30 @@ def test_the_result_of_a_verb_is_the_model_of_its_file(verb: str, file: str) -> 
 def test_every_verb_with_a_file_is_listed() -> None:
     """A verb that returns a model of a file is in the list, and a file has one model."""
     verbs = [name for name in lt.__all__ if inspect.isfunction(getattr(lt, name))]
-    models = {name for name in verbs if inspect.isclass(kind := returned(name)) and issubclass(kind, ResultFile)}
-    assert models == set(FILE_OF)
-    assert set(FILE_OF.values()) | set(OBJECTS.values()) <= set(FILES)
+    kinds = {name: returned(name) for name in verbs if name != "simulate"}
+    models = {name for name, kind in kinds.items() if inspect.isclass(kind) and issubclass(kind, ResultFile)}
+    assert models | {"simulate"} == set(FILE_OF)
     assert len({model.FILE for model in RESULTS}) == len(RESULTS)
-    assert set(OBJECTS) <= set(lt.__all__) and not set(OBJECTS) & set(FILE_OF)
+
+
+def test_no_result_is_declared_twice() -> None:
+    """Every model of a result file is registered, and no data class repeats most of the fields of one."""
+    for module in pkgutil.walk_packages(ltsim.__path__, "ltsim."):
+        if module.name.rpartition(".")[2] != "__main__":
+            importlib.import_module(module.name)
+    classes = {
+        kind
+        for name, module in sys.modules.items()
+        if name.partition(".")[0] == "ltsim"
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and kind.__module__ == name
+    }
+    assert {kind for kind in classes if issubclass(kind, ResultFile)} - {ResultFile} == set(RESULTS)
+    fields = {model.__name__: set(model.model_fields) - set(ResultFile.model_fields) for model in RESULTS}
+    assert [
+        f"{kind.__name__} repeats {name}"
+        for kind in classes
+        if dataclasses.is_dataclass(kind)
+        for name, declared in fields.items()
+        if len(declared & {f.name for f in dataclasses.fields(kind)}) > max(SHARED, len(declared) / 2)
+    ] == []

@@ -153,14 +153,12 @@ def test_the_command_line_has_the_same_choices(recording: Recording, tmp_path: P
 
 
 def test_a_history_is_a_prior_and_takes_only_calibrations_without_one(recording: Recording, tmp_path: Path) -> None:
-    from ltsim.calibration.files import history_file
-
     own = [lt.calibrate(network(faces=2, seed=s, values=VALUES)[0], without=["transit-offset"], advise=False)
            for s in (5, 6, 7)]  # fmt: skip
     history = lt.history(own)
-    assert history.construction.size == 15
+    assert len(history.parameters) == 15
     file = tmp_path / "history.json"
-    file.write_text(json.dumps(history_file(history).content()))
+    file.write_text(json.dumps(history.content()))
     found = [lt.calibrate(recording, prior=source, advise=False) for source in (history, file)]
     assert found[0].values == pytest.approx(found[1].values, rel=1e-6)
     assert np.all(found[0].sigma[0] <= 1.01 * lt.calibrate(recording, advise=False).sigma[0])

@@ -122,7 +122,7 @@ def test_what_a_file_lacks_is_zero_and_said(calibration, tmp_path: Path) -> None
     assert np.allclose(found.sigma[0, kept], calibration.sigma[0, kept], rtol=1e-9)
     assert np.all(found.values[0, rest] == 0)
     assert np.array_equal(found.sigma[0, rest], found.prior_sigma[0, rest])
-    (note,) = found.notes
+    (note,) = found.warnings
     assert "14 parameters are not in the file and taken as zero: range-scale, " in note
     assert note.endswith("and 8 more")
 
@@ -136,7 +136,7 @@ def test_a_file_written_by_hand_needs_name_value_and_unit(tmp_path: Path) -> Non
     assert found.values[0, at] == pytest.approx(5.9e-6)
     assert np.count_nonzero(found.values) == 1
     assert found.sigma[0, at] == found.prior_sigma[0, at]
-    assert "15 parameters" in found.notes[0]
+    assert "15 parameters" in found.warnings[0]
 
 
 def test_files_that_are_not_json(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_corrected_readings_are_those_of_an_ideal_tracker(make, drawn) -> None:
     truth = drawn(misalignment(), 3, 1)
     recording = make(truth, faces=(1, 2), noise=0.0)
     found = calibrate_network(make(truth, faces=(1, 2)), advise=False)
-    exact = type(found)(**{**vars(found), "values": truth[None], "correction": None})
+    exact = found.with_changes(values=truth[None], correction=None)
     corrected = correct(recording, exact)
     ideal = make(np.zeros(16), faces=(1, 2), noise=0.0)
     assert np.abs(corrected.readings - ideal.readings).max() < 1e-12

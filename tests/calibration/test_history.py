@@ -1,19 +1,21 @@
 """Calibrations over time: the tests hold their level, find a change, and the history improves a new calibration."""
 
 import json
-from dataclasses import replace
 from datetime import date
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment.evaluation.two_face import two_face
-from ltsim.calibration.calibration import Calibration, Fit
+from ltsim.adjustment.fieldcheck.occupation import two_face
+from ltsim.calibration.arrays import CalibrationArrays
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.events import can_tell, events
-from ltsim.calibration.files import history_file, write_calibration
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
+from ltsim.calibration.schema import Fit
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
@@ -32,10 +34,8 @@ def estimate(truth, design, rng, prior=PRIOR):
     """A calibration as an adjustment would give it: design rows of unit weight, priors centred at zero."""
     told = design.T @ (design @ truth + rng.standard_normal(len(design)))
     covariance = np.linalg.inv(design.T @ design + np.diag(prior**-2))
-    return Calibration(
-        "network", CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance, FIT,
-        (), "", (),
-    )  # fmt: skip
+    arrays = CalibrationArrays(CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance)
+    return Calibration.of(arrays, method="network", fit=FIT)
 
 
 def designs(rng, count, strength=8.0):
@@ -55,7 +55,7 @@ def test_an_unchanged_instrument_passes_at_the_stated_rate():
     for trial in range(150):
         rng = stream(1, "unchanged", trial)
         truth = PRIOR * rng.standard_normal(SIZE)
-        history = History.of(labelled([estimate(truth, d, rng) for d in designs(rng, 3)]))
+        history = CalibrationSeries.of(labelled([estimate(truth, d, rng) for d in designs(rng, 3)]))
         change = history.change(0, 2)
         joint.append(change.p_value)
         single.append([p.p_value for p in change.parameters[SILENT + 1 :: 3]])
@@ -67,7 +67,7 @@ def test_an_unchanged_instrument_passes_at_the_stated_rate():
 
 def test_what_no_reading_touches_is_neither_changed_nor_counted():
     rng = stream(2, "silent")
-    history = History.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)]))
+    history = CalibrationSeries.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)]))
     change = history.change(0, 1)
     assert change.dof <= SIZE - SILENT
     assert [p.p_value for p in change.parameters[:SILENT]] == pytest.approx([1.0] * SILENT)
@@ -81,7 +81,7 @@ def test_a_changed_parameter_is_found_and_named():
     later = truth.copy()
     later[5] += 3.0 * PRIOR[5]
     drawn = designs(rng, 4, strength=40.0)
-    history = History.of(
+    history = CalibrationSeries.of(
         labelled([estimate(t, d, rng) for t, d in zip((truth, truth, later, later), drawn, strict=True)])
     )
     assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.names[5],), ()]
@@ -97,7 +97,7 @@ def test_three_calibrations_do_not_look_more_alike_than_they_are():
     for _ in range(40):
         mean, (design,) = rng.standard_normal(SIZE) * PRIOR, designs(rng, 1, strength=40.0)
         few = [estimate(mean + 0.5 * PRIOR * rng.standard_normal(SIZE), design, rng) for _ in range(3)]
-        population = History.of([(str(k), c) for k, c in enumerate(few)]).population
+        population = CalibrationSeries.of([(str(k), c) for k, c in enumerate(few)]).population
         ratios.append((population.spread[SILENT:-2] / (0.5 * PRIOR[SILENT:-2])) ** 2)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
 
@@ -107,7 +107,7 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
     mean, spread = 0.5 * PRIOR * rng.standard_normal(SIZE), PRIOR * np.where(np.arange(SIZE) % 2, 0.5, 0.02)
     truths = mean + spread * rng.standard_normal((41, SIZE))
     calibrations = [estimate(t, d, rng) for t, d in zip(truths, designs(rng, 41), strict=True)]
-    history = History.of(labelled(calibrations[:40]))
+    history = CalibrationSeries.of(labelled(calibrations[:40]))
     told = slice(SILENT, SIZE - 2)
     found = history.population
     assert np.abs((found.mean - mean) / PRIOR)[told] == pytest.approx(0.0, abs=0.25)
@@ -120,8 +120,8 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
 
 def test_json_holds_every_test_in_the_units_of_a_person():
     rng = stream(5, "json")
-    history = History.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
-    content = json.loads(history_file(history).text())
+    history = CalibrationSeries.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
+    content = json.loads(History.of(history).text())
     assert content["format"] == "ltsim-history/1"
     assert [c["label"] for c in content["calibrations"]] == ["c0", "c1", "c2"]
     k = 4
@@ -135,7 +135,9 @@ def walked(trial, *, blow=0.0):
     rng = stream(6, "walk", trial)
     truths = PRIOR * rng.standard_normal(SIZE) + 0.5 * PRIOR * rng.standard_normal((12, SIZE))
     truths[8:, 6] += blow * PRIOR[6]
-    return History.of(labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, 12, 40.0), strict=True)]))
+    return CalibrationSeries.of(
+        labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, 12, 40.0), strict=True)])
+    )
 
 
 def test_what_moves_from_day_to_day_is_no_event():
@@ -152,7 +154,7 @@ def test_a_blow_stands_out_and_is_dated():
         assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.names[6])]
         assert found[0].difference == pytest.approx(12.0 * size, rel=0.25)
         assert found[0].usual == pytest.approx(0.7 * size, rel=0.5)
-        entry = history_file(history).events[0]
+        entry = History.of(history).events[0]
         assert (entry.from_, entry.to, entry.unit) == ("c7", "c8", CONSTRUCTION.parameters[6].unit)
 
 
@@ -167,7 +169,7 @@ def wandered(trial, *, blow=0.0, dated=True):
     truths = PRIOR * np.cumsum(np.vstack([np.zeros(SIZE), steps]), axis=0)
     truths[7:, 6] += blow * PRIOR[6]
     named = labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, len(DATES), 40.0), strict=True)])
-    return History.of(named, dates=[f"2026-{d}" for d in DATES] if dated else None)
+    return CalibrationSeries.of(named, dates=[f"2026-{d}" for d in DATES] if dated else None)
 
 
 def test_half_a_year_may_move_what_a_day_may_not():
@@ -195,12 +197,12 @@ def test_wrong_dates_get_a_sentence(dates, words):
     rng = stream(7, "few")
     named = labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)])
     with pytest.raises(RecordError, match=words):
-        History.of(named, dates=dates)
+        CalibrationSeries.of(named, dates=dates)
 
 
 def test_few_calibrations_tell_no_event():
     rng = stream(7, "few")
-    history = History.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
+    history = CalibrationSeries.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
     assert not can_tell(history)
     assert not events(history)
 
@@ -209,15 +211,15 @@ def test_one_calibration_alone_is_refused():
     rng = stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     with pytest.raises(RecordError, match="at least two"):
-        History.of([("a", calibration)])
+        CalibrationSeries.of([("a", calibration)])
 
 
 def test_a_parameter_without_uncertainty_is_refused():
     rng = stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
-    sure = replace(calibration, covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
+    sure = calibration.with_changes(covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
     with pytest.raises(RecordError, match="no uncertainty of range-offset"):
-        History.of([("a", calibration), ("b", sure)])
+        CalibrationSeries.of([("a", calibration), ("b", sure)])
 
 
 @pytest.fixture(scope="module")

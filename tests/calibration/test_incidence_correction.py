@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -28,13 +27,13 @@ def calibrated() -> tuple[Recording, Truth, Calibration]:
 
 
 def coordinate_after(calibration: Calibration) -> float:
-    return float(lt.evaluate(calibrated()[0], calibration).coordinate.after.mean)
+    return float(lt.evaluate(calibrated()[0], calibration).coordinate.after.mean_um)
 
 
 def test_the_estimate_is_that_of_the_simulated_reflector() -> None:
     """Over the angles of the recording, at most a third of the true error is left."""
     _, truth, calibration = calibrated()
-    applied = next(entry for entry in truth.effects if isinstance(entry.effect, SmrIncidence))
+    applied = next(entry for entry in truth.applied if isinstance(entry.effect, SmrIncidence))
     sightings = calibration.adjustment.sightings
     true = applied.effect.shift(sightings, np.array(applied.values))[:, 0]
     estimated = (SmrIncidence().design(sightings) @ calibration.applied_reflectors[""])[:, 0]
@@ -44,7 +43,7 @@ def test_the_estimate_is_that_of_the_simulated_reflector() -> None:
 
 def test_it_is_taken_out_with_the_parameters() -> None:
     recording, _, calibration = calibrated()
-    without = replace(calibration, reflectors=())
+    without = calibration.with_changes(reflectors=())
     assert coordinate_after(calibration) < 0.7 * coordinate_after(without)
     change = lt.correct(recording, calibration).readings - lt.correct(recording, without).readings
     assert 1e-6 < np.abs(change[:, 0]).max() < 20e-6
@@ -53,12 +52,12 @@ def test_it_is_taken_out_with_the_parameters() -> None:
 
 def test_criteria_of_the_calibration_are_those_of_evaluate() -> None:
     _, _, calibration = calibrated()
-    assert coordinate_after(calibration) == pytest.approx(calibration.criteria.coordinate.after.mean, rel=1e-3)
+    assert coordinate_after(calibration) == pytest.approx(calibration.criteria.coordinate.after.mean_um, rel=1e-3)
 
 
 def test_no_correction_takes_nothing_out() -> None:
     recording, _, calibration = calibrated()
-    nothing = replace(calibration, applied_values=np.zeros_like(calibration.values))
+    nothing = calibration.with_changes(applied_values=np.zeros_like(calibration.values))
     assert nothing.applied_reflectors == {}
     np.testing.assert_allclose(lt.correct(recording, nothing).readings, recording.readings, atol=1e-15)
 
@@ -91,5 +90,5 @@ def test_a_recording_without_the_directions_of_nests_keeps_its_readings() -> Non
     recording, _, calibration = calibrated()
     targets = {n: t.model_copy(update={"nest_normal": None}) for n, t in recording.setup.targets.items()}
     bare = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
-    corrected, without = (lt.correct(bare, c) for c in (calibration, replace(calibration, reflectors=())))
+    corrected, without = (lt.correct(bare, c) for c in (calibration, calibration.with_changes(reflectors=())))
     np.testing.assert_array_equal(corrected.readings, without.readings)

@@ -191,8 +191,8 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
             update={"instruments": own, "stations": stations, "gauge": Gauge(distance=tuple(walls))}
         )
         one = calibrate_network(recording.replace(setup=setup), advise=False)
-        assert one.prior_rejected.sum(axis=0)[scale] == 2
-        assert one.prior_rejected.sum() == 2
+        assert one.arrays.prior_rejected.sum(axis=0)[scale] == 2
+        assert one.arrays.prior_rejected.sum() == 2
         assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
         assert sum("which leaves 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]

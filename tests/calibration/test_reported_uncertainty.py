@@ -99,7 +99,7 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     )
     before, after = np.sqrt(np.diag(adjustment.constants_covariance)), found.sigma.ravel()
     assert np.all(after > before)
-    assert np.all(after <= np.minimum(found.fit.sigma0 * before, found.prior_used.ravel()) * (1 + 1e-9))
+    assert np.all(after <= np.minimum(found.fit.sigma0 * before, found.arrays.prior_used.ravel()) * (1 + 1e-9))
     lt.write(found, tmp_path)
     joint = read_coordinates(tmp_path / "targets.csv").covariance
     assert (tmp_path / COVARIANCE).is_file()

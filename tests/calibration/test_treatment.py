@@ -13,7 +13,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.correct import correct
 from ltsim.calibration.distance import calibrate_distance
-from ltsim.calibration.files import calibration_file, write_calibration
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.recordings import Hints, read
@@ -49,7 +49,7 @@ def test_robust_leaves_out_what_does_not_belong_and_says_so(spoiled, tmp_path: P
 
 def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     found = calibrate_network(spoiled, advise=False, robust=True, noise_from_data=True)
-    rows = {n["observable"]: n for n in calibration_file(found).content()["noise"]}
+    rows = {n["observable"]: n for n in found.content()["noise"]}
     assert list(rows) == ["distance", "azimuth", "elevation"]
     for name, truth in (("distance", 2.0), ("azimuth", 1.0), ("elevation", 1.0)):
         assert abs(rows[name]["factor"] - truth) < 3.5 * rows[name]["factor_sigma"]
@@ -58,7 +58,7 @@ def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     assert rows["distance"]["unit"] == "mm"
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.03)
     plain = calibrate_network(spoiled, advise=False)
-    assert calibration_file(plain).noise == ()
+    assert plain.noise == ()
 
 
 def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
@@ -69,7 +69,7 @@ def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
     found = lt.adjust(recording.with_readings(readings), noise_from_data=True)
     assert not found.noise_estimated
     assert any(n.factor_sigma is None for n in found.noise)
-    content = calibration_file(found).content()
+    content = found.content()
     assert content["noise_estimated"] is False
     assert None in [n["factor_sigma"] for n in content["noise"]]
     assert content["verdict"]["sentence"]
@@ -77,12 +77,12 @@ def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
 
 def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     recording = make(np.zeros(16), faces=(1, 2))
-    clean = calibration_file(calibrate_network(recording, advise=False)).content()["verdict"]
+    clean = calibrate_network(recording, advise=False).content()["verdict"]
     assert clean["case"] == "clean"
     readings = recording.readings.copy()
     readings[16, 0] += 30e-6
     one = calibrate_network(recording.with_readings(readings), advise=False)
-    said = calibration_file(one).content()["verdict"]
+    said = one.content()["verdict"]
     assert said["case"] == "single errors the sum hides"
     assert said["sentence"].startswith("Trust the test of single readings: one reading is out of place although")
     assert one.fit.p_value > 0.01
@@ -92,7 +92,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     instrument = recording.setup.instrument.model_copy(update={"noise": wide})
     setup = recording.setup.model_copy(update={"instrument": instrument})
     quiet = quiet.replace(setup=setup)
-    said = calibration_file(calibrate_network(quiet, advise=False, weigh=False)).content()["verdict"]
+    said = calibrate_network(quiet, advise=False, weigh=False).content()["verdict"]
     assert said["case"] == "smaller noise"
     assert said["scale_by_sigma0"] is True
     found = calibrate_network(quiet, advise=False)

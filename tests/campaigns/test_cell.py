@@ -71,7 +71,7 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     assert np.all(np.abs(gap) <= 1e-3 * recording.sigma() + 1.001 * step)
     assert np.mean(np.abs(gap) > 0.5 * step) < 0.02
     np.testing.assert_array_equal(block.values[0, :, TRIAL], list(true.instrument.values()))
-    np.testing.assert_array_equal(block.amounts[0][:, TRIAL], true.effects[0].values)
+    np.testing.assert_array_equal(block.amounts[0][:, TRIAL], true.applied[0].values)
     lengths = truth.population.lengths.length + block.gauge_error[:, TRIAL]
     np.testing.assert_allclose(lengths, ReferenceLengths.of(recording).length, rtol=0, atol=1e-9)
 

@@ -138,7 +138,7 @@ def test_judge_equals_evaluation_of_single_recordings(engine: Engine) -> None:
     columns = shared | judge.after(block, found, engine.construction)
     for k in (0, 77, 255):
         recording = recording_of(truth, block, k)
-        criteria = evaluate(recording, engine.construction, found.values[0, :, k]).as_json()
+        criteria = evaluate(recording, engine.construction, found.values[0, :, k]).model_dump()
         for kind in ("distance", "coordinate"):
             for when in ("before", "after"):
                 for which in ("mean", "max"):

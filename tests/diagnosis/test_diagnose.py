@@ -103,7 +103,7 @@ def test_physics_outside_the_catalogue_is_called_unknown():
     assert (found.variance_factors(recording) == 1.0).all()
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula
-    assert found.after.held_out_rms < found.before.held_out_rms
+    assert found.fit.after.held_out_rms < found.fit.before.held_out_rms
 
 
 @pytest.mark.long
@@ -266,7 +266,7 @@ def test_a_noisy_station_is_noise_and_not_a_shift():
     found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
     assert [f.effect for f in found.findings] == ["station-noise"]
     assert found.findings[0].where.stations == ("S2",)
-    assert found.after.held_out_rms == pytest.approx(1.0, abs=0.1)
+    assert found.fit.after.held_out_rms == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.long
@@ -288,7 +288,7 @@ def test_exchanged_reflectors_are_named_and_mended():
     assert first.effect == "target-swap"
     assert first.where.stations == ("S4",)
     assert set(first.where.targets) == {"T05", "T14"}
-    assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+    assert found.fit.after.chi2 / found.fit.after.dof == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("faces", [1, pytest.param(2, marks=pytest.mark.long)])
@@ -300,13 +300,13 @@ def test_a_clean_recording_is_consistent_and_its_diagnosis_is_a_function_of_the_
     assert "station-levelling" in {u.effect for u in found.undetectable}
     assert "station-bump" in {d.effect for d in found.detectable}
     assert all(u.undetected_target_error_um >= 0 and u.cure for u in found.undetectable)
-    assert found.to_json() == again.to_json()
+    assert found.content() == again.content()
 
 
 @pytest.mark.long
 def test_p_values_of_clean_recordings_are_uniform():
     """The false-alarm rate is what it says: six recordings, p-values spread over the unit interval."""
-    values = [diagnose(workshop(100 + s, repeats=1)[0], seed=s).search_p_value for s in range(6)]
+    values = [diagnose(workshop(100 + s, repeats=1)[0], seed=s).global_test.search_p_value for s in range(6)]
     assert min(values) > 0.001
     assert 0.2 < np.mean(values) < 0.8
 
@@ -344,7 +344,7 @@ def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
     first = found.findings[0]
     assert (first.effect, first.where.stations) == ("wrong-unit", ("S3",))
     assert cause in first.sentence
-    assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+    assert found.fit.after.chi2 / found.fit.after.dof == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.long
@@ -356,8 +356,8 @@ def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
     found = diagnose(recording.with_readings(readings))
     assert [f.effect for f in found.findings] == ["noise-level"]
     assert found.findings[0].equivalents == ()
-    assert found.after.held_out_rms == pytest.approx(found.before.held_out_rms)
-    assert found.before.held_out_rms == pytest.approx(0.6, abs=0.05)
+    assert found.fit.after.held_out_rms == pytest.approx(found.fit.before.held_out_rms)
+    assert found.fit.before.held_out_rms == pytest.approx(0.6, abs=0.05)
     assert "has seen" not in found.summary
 
 

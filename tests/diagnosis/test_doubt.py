@@ -240,4 +240,4 @@ def test_no_more_is_told_than_anybody_reads(monkeypatch):
     one = diagnose(recording)
     assert [f.effect for f in one.findings] == ["outlier"]
     assert one.summary.endswith("1 further effect is in the model but not reported (small or uncertain).")
-    assert one.after.chi2 < 0.5 * one.before.chi2
+    assert one.fit.after.chi2 < 0.5 * one.fit.before.chi2

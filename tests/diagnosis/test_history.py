@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,8 +13,9 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import history_file, write_calibration
-from ltsim.calibration.history import History as Course
+from ltsim.calibration.calibration_series import CalibrationSeries
+from ltsim.calibration.files import write_calibration
+from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.cli.main import run
@@ -63,8 +63,12 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
     days = mean + spread * rng.standard_normal((count + 1, len(GUARANTEE)))
     days[-1, constant] += blow * GUARANTEE[constant]
     values = [estimated(faces, day, rng) for day in days]
-    before = [(f"day {k}", replace(calibration, values=v[None])) for k, v in enumerate(values[:-1])]
-    known = EarlierCalibrations.of(Course.of(before)) if count > 1 else EarlierCalibrations.of(before[0][1])
+    before = [(f"day {k}", calibration.with_changes(values=v[None])) for k, v in enumerate(values[:-1])]
+    known = (
+        EarlierCalibrations.of(History.of(CalibrationSeries.of(before)))
+        if count > 1
+        else EarlierCalibrations.of(before[0][1])
+    )
     return against(known, adjustment, values[-1])
 
 
@@ -106,7 +110,7 @@ def test_two_constants_that_changed_are_told_apart() -> None:
     calibration, adjustment = measured(2)
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), stream(3, "a"))
     today[BUILT.names.index("beam-tilt")] -= GUARANTEE[BUILT.names.index("beam-tilt")]
-    known = EarlierCalibrations.of(replace(calibration, values=np.zeros((1, len(GUARANTEE)))))
+    known = EarlierCalibrations.of(calibration.with_changes(values=np.zeros((1, len(GUARANTEE)))))
     sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 
@@ -121,7 +125,7 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
         (f"day {k}", calibrate_network(network(faces=2, values=v, seed=70 + k)[0], BUILT, advise=False))
         for k, v in enumerate(days)
     ]
-    write_result(tmp_path / "history", history_file(Course.of(before)), {})
+    write_result(tmp_path / "history", History.of(CalibrationSeries.of(before)), {})
     write_calibration(before[-1][1], tmp_path / "last")
     today = mean.copy()
     today[INDEX] += 2.0 * GUARANTEE[INDEX]
@@ -136,7 +140,7 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
         assert abs(index.value - 2.0 * GUARANTEE[INDEX] / 1e-6) < 4 * index.sigma
         assert first.sentence.startswith("The vertical index of the instrument differs by (")
         assert found.summary.startswith(first.sentence)
-        assert found.to_json()["findings"][0]["sentence"] == first.sentence
+        assert found.content()["findings"][0]["sentence"] == first.sentence
 
 
 def test_a_wrong_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

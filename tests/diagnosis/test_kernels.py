@@ -23,7 +23,7 @@ recording, _ = lt.simulate("paper-workshop", seed=20)
 recording = recording.select((recording.station < 4) & (recording.target < 16))
 recording, _ = lt.inject(recording, "range-step:S3", noncentrality=150, seed=3)
 found = lt.diagnose(recording, held_out=True)
-json.dump(found.file(recording).content(), sys.stdout)
+json.dump(found.content(), sys.stdout)
 """
 """A step between two pointings is the same at any moment between them: the evidence has a plateau."""
 KERNELS = ("Nehalem", "Haswell")

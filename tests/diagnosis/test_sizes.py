@@ -76,8 +76,8 @@ def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
     assert len(found.findings) == 1
     (size,) = (e for e in first.parameters if e.unit == "urad/h")
     assert abs(size.value - 8.0) < 4 * size.sigma
-    assert found.after.held_out_rms == pytest.approx(1.0, abs=0.05)
-    assert found.before.held_out_rms > 1.1
+    assert found.fit.after.held_out_rms == pytest.approx(1.0, abs=0.05)
+    assert found.fit.before.held_out_rms > 1.1
 
 
 @pytest.mark.long
@@ -88,5 +88,5 @@ def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch
     found = diagnose(recording, seed=1)
     assert isinstance(found.baseline.projection, FactorProjection)
     assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
-    assert found.search_p_value == pytest.approx(1 / 301)
-    assert found.before.held_out_rms is None  # five more searches of a large network are for who asks for them
+    assert found.global_test.search_p_value == pytest.approx(1 / 301)
+    assert found.fit.before.held_out_rms is None  # five more searches of a large network are for who asks for them

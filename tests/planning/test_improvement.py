@@ -53,7 +53,9 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         after = criteria.distance.after, criteria.coordinate.after
         assert after[0] is not None
         assert after[1] is not None
-        found.append([criteria.distance.before.mean, after[0].mean, criteria.coordinate.before.mean, after[1].mean])
+        before = criteria.distance.before, criteria.coordinate.before
+        sizes = before[0].mean_um, after[0].mean_um, before[1].mean_um, after[1].mean_um
+        found.append([1e-6 * size for size in sizes if size is not None])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(TRIALS)
     predicted = [
         expected.distance_before[0],

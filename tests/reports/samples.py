@@ -14,8 +14,10 @@ from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.remedies.next_measurement import next_measurement
-from ltsim.calibration.calibration import Calibration, residuals_table
-from ltsim.calibration.files import history_file, write_calibration
+from ltsim.calibration.arrays import residuals_table
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.calibration_series import CalibrationSeries
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.randomness import stream
@@ -210,19 +212,19 @@ def plan_folder(folder: Path) -> Path:
 
 
 @cache
-def _history() -> History:
+def _history() -> CalibrationSeries:
     named = []
     for number, label in enumerate(("tracker_jan", "tracker_may", "tracker_sep")):
         values = drawn(misalignment(), 7 if number < 2 else 8)
         made, _ = network(faces=2, seed=1 + number, values=values)
         named.append((label, calibrate_network(made, advise=False)))
-    return History.of(named)
+    return CalibrationSeries.of(named)
 
 
 def history_folder(folder: Path) -> Path:
     """A folder as `ltsim history` leaves it: three calibrations, the instrument changed before the last."""
     folder.mkdir(parents=True)
-    (folder / "history.json").write_text(history_file(_history()).text())
+    (folder / "history.json").write_text(History.of(_history()).text())
     return folder
 
 

@@ -19,7 +19,8 @@ from matplotlib.text import Text
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment.evaluation.criteria import CRITERIA
 from ltsim.adjustment.fieldcheck.check import check as check_of
-from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry
+from ltsim.calibration.calibration_series import ChiSquareEntry
+from ltsim.calibration.history import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.statistics import Scores
 from ltsim.core.notation import fixed, number, with_sigma

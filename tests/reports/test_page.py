@@ -14,7 +14,7 @@ from xml.etree.ElementTree import fromstring
 import numpy as np
 import pytest
 
-from ltsim.adjustment.fieldcheck import check_file, write_check
+from ltsim.adjustment.fieldcheck import write_check
 from ltsim.adjustment.fieldcheck.check import check
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import calibrate_network
@@ -291,7 +291,7 @@ def test_next_measurement_stands_first(tmp_path: Path) -> None:
     assert content.answer.startswith(f"Measure next: {proposals[0]['do']} (")
     table = next(block for block in content.sections[0].blocks if block.kind == "table")
     assert [row[0] for row in table.rows] == [p["do"] for p in proposals]
-    assert all(f"{100 * (1 - p['sharper']):.0f} %" == row[2] for p, row in zip(proposals, table.rows, strict=True))
+    assert all(f"{p['sharper']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
 
 
 def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
@@ -354,7 +354,7 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     assert (
         section.title.startswith("Check in the field: ") and section.answer.startswith("Go: ") and not section.actions
     )
-    content = check_file(check(samples.recording()))
+    content = check(samples.recording())
     failed = content.items[0].model_copy(update={"passed": False, "kind": "network"})
     content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
     (tmp_path / "check.json").write_text(content.text())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.arrays import residuals_table
 from ltsim.core.errors import RecordError
 from ltsim.reports.residuals import Residuals
 from tests.reports import samples

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.calibration.calibration import residuals_table, targets_table
+from ltsim.calibration.arrays import residuals_table, targets_table
 from ltsim.calibration.files import read_targets
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.recordings import write

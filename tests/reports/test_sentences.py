@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from ltsim.diagnosis.schema import DiagnosisFile, Equivalent, Estimate, Evidence, Finding, Misfit, Where
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Misfit, Where
 from ltsim.diagnosis.words import catalogue_sentence, summarise
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.reports.document import ReportContext, Section
@@ -58,7 +59,7 @@ def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) ->
     content = copy.deepcopy(samples.DIAGNOSIS)
     found = finding("station-bump", "index-drift").model_dump(mode="json", by_alias=True)
     content["findings"].append(found)
-    section = diagnosis_section(DiagnosisFile.model_validate_json(json.dumps(content)), ReportContext(folder=tmp_path))
+    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), ReportContext(folder=tmp_path))
     texts = " ".join(prose(section))
     assert "bumped" in texts and "drift of the vertical index" in texts
     assert not KEYS.search(texts), KEYS.findall(texts)

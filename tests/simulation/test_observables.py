@@ -32,7 +32,7 @@ def test_multilateration_from_scenario_to_coordinates(tmp_path: Path) -> None:
     found = lt.adjust(stated.replace(setup=stated.setup.model_copy(update={"targets": rough})))
     assert "mirror image" not in repr(found)
     places = dict(zip(found.targets, found.points, strict=True))
-    points = np.array([places[name] for name in truth.targets])
+    points = np.array([places[name] for name in truth.target_names])
     rotation, shift, _ = best_fit(truth.points, points)
     gap = points - (truth.points @ rotation.T + shift)
     assert np.sqrt(np.mean(gap**2)) < 30e-6
@@ -41,7 +41,7 @@ def test_multilateration_from_scenario_to_coordinates(tmp_path: Path) -> None:
 
 
 def _places(truth: Truth) -> list[tuple[str, np.ndarray]]:
-    return list(zip(truth.targets, truth.points, strict=True))
+    return list(zip(truth.target_names, truth.points, strict=True))
 
 
 def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:

@@ -184,12 +184,12 @@ def test_effects_as_objects_are_those_of_a_file() -> None:
     for given in ([drift], drift):
         recording, truth = lt.simulate("paper-workshop", seed=7, changes={"effects": given})
         assert np.array_equal(recording.readings, by_table.recording.readings)
-        assert truth.effects[0].effect == drift
+        assert truth.applied[0].effect == drift
     by_name, by_list = (
         lt.simulate("paper-workshop", seed=7, changes={"effects": e}) for e in ("heat-plume", ["heat-plume"])
     )
     assert np.array_equal(by_name.recording.readings, by_list.recording.readings)
-    assert by_name.truth.effects[0].effect.name == "heat-plume"
+    assert by_name.truth.applied[0].effect.name == "heat-plume"
 
     sized = lt.Effect("index-drift", stations="S3", index_drift=60.0)
     entry = {"name": "index-drift", "stations": ["S3"], "values": {"index-drift": 60.0}}

@@ -52,7 +52,7 @@ def test_a_tracker_with_a_name_measures_as_one_without() -> None:
     (one, first), (other, second) = simulate(plain, 2), simulate(named, 2)
     assert one.readings.tobytes() == other.readings.tobytes()
     assert first.instrument == second.instrument and other.instruments == ("A",)
-    assert second.trackers[0].noise_factor == 1.5
+    assert second.instruments[0].noise_factor == 1.5
 
 
 def test_each_tracker_has_noise_resolution_and_errors_of_its_own() -> None:
@@ -90,7 +90,8 @@ def test_recording_and_truth_say_which_tracker_stood_where(tmp_path: Path) -> No
     assert again.instrument_of("S4").prior.offset_mm == 0.06
     write_truth(truth, tmp_path / "truth.json")
     back = read_truth(tmp_path / "truth.json")
-    assert back.trackers == truth.trackers and [t.stations for t in back.trackers] == [("S1", "S3"), ("S2", "S4")]
+    assert back.instruments == truth.instruments
+    assert [t.stations for t in back.instruments] == [("S1", "S3"), ("S2", "S4")]
     assert back.instrument == pytest.approx(truth.instrument) and back.units == truth.units
 
 
@@ -109,7 +110,7 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
     assert np.abs(z).max() < 4 and 0.4 < np.mean(z**2) < 1.8
     corrected = lt.correct(recording, found)
     assert all(corrected.instrument_of(name).corrected for name in corrected.stations)
-    assert lt.evaluate(corrected).distance.before.mean < 0.1 * lt.evaluate(recording).distance.before.mean
+    assert lt.evaluate(corrected).distance.before.mean_um < 0.1 * lt.evaluate(recording).distance.before.mean_um
 
 
 @pytest.mark.parametrize(

@@ -138,8 +138,8 @@ def test_an_effect_changes_no_other_draw() -> None:
 
 def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
     second = [{"name": "range-cyclic", "draw": True}, *EFFECT, {"name": "range-cyclic", "draw": True}]
-    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].effects
-    three = simulate(with_(PAPER, effects=second), 4)[1].effects
+    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].applied
+    three = simulate(with_(PAPER, effects=second), 4)[1].applied
     np.testing.assert_array_equal(one[0].values, three[1].values)
     assert np.all(one[0].values != 0) and np.all(three[0].values != three[2].values)
 
@@ -147,13 +147,13 @@ def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
 def test_an_effect_adds_exactly_its_shift() -> None:
     silent = {**SILENT, "errors": {}}
     entry = [{"name": "range-cyclic", "values": {}, "shape": {"wavelength": 300.0}}]
-    probe = simulate(with_(PAPER, effects=entry), 6)[1].effects[0].effect
+    probe = simulate(with_(PAPER, effects=entry), 6)[1].applied[0].effect
     name = probe.parameters[0].name
     entry[0]["values"] = {name: 4.0}
     plain, _ = simulate(with_(PAPER, instrument=silent), 6)
     more, truth = simulate(with_(PAPER, instrument=silent, effects=entry), 6)
     work = fieldwork(PAPER, 6)
-    shift = truth.effects[0].effect.shift(work.sightings, truth.effects[0].values)
+    shift = truth.applied[0].effect.shift(work.sightings, truth.applied[0].values)
     np.testing.assert_allclose(more.readings - plain.readings, shift, atol=1e-14)
     assert np.abs(shift[:, 0]).max() == pytest.approx(4e-6, rel=0.05)
 
@@ -182,7 +182,7 @@ def test_every_effect_of_the_catalogue_can_be_simulated_and_its_truth_kept(kind:
     places = {"station": {"stations": ["S2"]}, "target": {"targets": ["T03"]}}.get(kind.scope, {})
     recording, truth = simulate(with_(PAPER, effects=[{"name": kind.name, "draw": True, **places}]), 1)
     assert np.isfinite(recording.readings).all()
-    assert Truth.from_json(json.loads(json.dumps(truth.to_json()))).effects[0].effect == truth.effects[0].effect
+    assert Truth.model_validate(json.loads(truth.text())).applied[0].effect == truth.applied[0].effect
 
 
 def test_wrong_gauge_scale_shows_in_the_certificate_only() -> None:
@@ -227,15 +227,15 @@ def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> N
     recording, truth = simulate(with_(PAPER, cmm={"noise_factor": 0.0}), 6)
     assert recording.setup.gauge is not None
     for line in recording.setup.gauge.distance:
-        a, b = (truth.points[truth.targets.index(name)] for name in (line.from_, line.to))
+        a, b = (truth.points[truth.target_names.index(name)] for name in (line.from_, line.to))
         assert np.linalg.norm(a - b) * 1e3 == pytest.approx(line.length_mm * (1 + 23.2e-6 * 7), abs=1e-4)
 
 
 def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> None:
     workshop, laboratory = (simulate(load_scenario(n), 9)[1] for n in ("paper-workshop", "paper-laboratory"))
     assert workshop.instrument == laboratory.instrument
-    assert laboratory.nominal is not None and workshop.nominal is None
-    assert 0.1e-6 < np.abs(laboratory.nominal - laboratory.points).max() < 8e-6
+    assert laboratory.arrays.nominal is not None and workshop.nominal is None
+    assert 0.1e-6 < np.abs(laboratory.arrays.nominal - laboratory.points).max() < 8e-6
 
 
 def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:

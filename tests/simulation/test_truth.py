@@ -32,28 +32,31 @@ def test_round_trip(truth: Truth, tmp_path: Path) -> None:
         np.testing.assert_allclose(getattr(again, name), getattr(truth, name), rtol=0, atol=1e-14)
     assert again.instrument == pytest.approx(truth.instrument, rel=1e-14)
     assert (again.stations, again.targets, again.units) == (truth.stations, truth.targets, truth.units)
-    assert [a.effect.name for a in again.effects] == ["station-settling", "azimuth-harmonic", "smr-incidence"]
-    for one, other in zip(again.effects, truth.effects, strict=True):
+    assert [a.name for a in again.effects] == ["station-settling", "azimuth-harmonic", "smr-incidence"]
+    for one, other in zip(again.applied, truth.applied, strict=True):
         assert one.effect == other.effect
         np.testing.assert_allclose(one.values, other.values, rtol=1e-14)
 
 
 def test_display_units_in_the_file(truth: Truth) -> None:
-    content = truth.to_json()
+    content = truth.content()
     tilt = next(p for p in content["parameters"] if p["name"] == "beam-tilt")
     assert tilt["unit"] == "urad" and tilt["value"] == pytest.approx(truth.instrument["beam-tilt"] * 1e6)
     assert content["effects"][0]["shape"]["time_constant"] == pytest.approx(9.0)
-    assert truth.effects[0].effect.time_constant == pytest.approx(540.0)  # type: ignore[attr-defined]
+    assert truth.applied[0].effect.time_constant == pytest.approx(540.0)  # type: ignore[attr-defined]
 
 
 def test_nominal_points_are_what_verification_reads(tmp_path: Path) -> None:
     _, truth = simulate(load_scenario("paper-laboratory"), 3)
-    assert truth.nominal is not None
+    nominal = truth.arrays.nominal
+    assert nominal is not None
     path = tmp_path / "nominal.csv"
     path.write_text(nominal_csv(truth))
     read = read_nominal(path)
-    np.testing.assert_allclose([read[name] for name in truth.targets], truth.nominal, atol=0.6e-7)
-    np.testing.assert_allclose(Truth.from_json(truth.to_json()).nominal, truth.nominal, atol=1e-14)  # type: ignore[arg-type]
+    np.testing.assert_allclose([read[name] for name in truth.target_names], nominal, atol=0.6e-7)
+    again = Truth.model_validate(truth.content()).arrays.nominal
+    assert again is not None
+    np.testing.assert_allclose(again, nominal, atol=1e-14)
 
 
 def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
@@ -69,12 +72,12 @@ def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
         ({"noise_factor": "loud"}, "noise_factor"),
         ({"parameters": [{"name": "a", "value": 1.0, "unit": "furlong"}]}, "'furlong' is no unit"),
         ({"effects": [{"effect": "ghost"}]}, "no effect called 'ghost'"),
-        ({"secret": 1}, "unknown key secret"),
+        ({"nominal": [{"name": "X", "position_mm": [0, 0, 0]}]}, "not those of the targets"),
     ],
 )
 def test_wrong_files_get_one_sentence(change: dict[str, object], message: str, truth: Truth, tmp_path: Path) -> None:
     path = tmp_path / "truth.json"
-    path.write_text(json.dumps({**truth.to_json(), **change}))
+    path.write_text(json.dumps({**truth.content(), **change}))
     with pytest.raises(RecordError, match=message) as caught:
         read_truth(path)
     assert "truth.json" in str(caught.value) and "\n" not in str(caught.value)

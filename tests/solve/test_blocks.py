@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
-from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
+from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Status, solve
 
 

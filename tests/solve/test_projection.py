@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
-from ltsim.solve.blocks import BlockFactor, BlockSystem
+from ltsim.solve.elimination import BlockFactor, BlockSystem
 from ltsim.solve.projection import BasisProjection, FactorProjection, projection_of
 
 KEPT, BLOCKS, ROWS = 320, 130, 2600

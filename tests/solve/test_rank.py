@@ -7,8 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
-from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.design import DOUBTFUL, FORMED, RANK, Design, cholesky_where_determined, unit_diagonal
+from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
 
 def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:

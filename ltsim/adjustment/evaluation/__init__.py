@@ -2,6 +2,7 @@
 
 from ltsim.adjustment.evaluation.criteria import (
     Criteria as Criteria,
+    CriteriaEntry as CriteriaEntry,
     evaluate as evaluate,
     read_nominal as read_nominal,
     verify as verify,

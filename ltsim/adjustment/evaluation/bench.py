@@ -18,7 +18,7 @@ from pydantic import Field
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import with_sigma
-from ltsim.core.results import Result, Table, columns_of, numbers
+from ltsim.core.results import Table, columns_of, numbers
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
 from ltsim.recordings.files import read_text
@@ -76,7 +76,7 @@ ANGLES = Table(
 )
 
 
-class BenchFile(ResultFile, Result):
+class BenchFile(ResultFile):
     """`bench.json`: from `bench`."""
 
     FILE: ClassVar[str] = "bench.json"
@@ -96,8 +96,6 @@ class BenchFile(ResultFile, Result):
     """The same to the side."""
     remainder_um: Finite
     """Root mean square of what no offset of the vertex explains: optics."""
-
-    __repr__ = __str__ = Result.__repr__
 
     def _lines(self) -> list[str]:
         worst = max(self.angles, key=lambda row: abs(row.error_um))

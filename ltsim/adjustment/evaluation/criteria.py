@@ -13,21 +13,22 @@ tracker; after: with the parameters of a calibration.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
 from ltsim.adjustment.evaluation.clouds import in_first_frame, measured_points, on_points, station_means
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.results import Column, Result, Table, numbers, texts
+from ltsim.core.notation import NONE
+from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.core.units import MICROMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
-from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile
+from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
 
 MOST_PLACES = 20_000_000
 """Stations times targets whose clouds (0.5 GB then) are compared."""
@@ -49,41 +50,6 @@ class Differences(ValueEquality):
         """Largest disagreement [m]."""
         return float(self.values.max())
 
-    @property
-    def sizes(self) -> tuple[float, float]:
-        """Mean and maximum in um."""
-        return self.mean / MICROMETRE, self.maximum / MICROMETRE
-
-
-@dataclass(frozen=True)
-class Improvement(ValueEquality):
-    """A criterion before and after calibration; `after` is None where there are no parameters."""
-
-    before: Differences
-    after: Differences | None = None
-
-    @property
-    def improvement_percent(self) -> float | None:
-        """100 (1 - mean after / mean before)."""
-        if self.after is None or self.before.mean == 0:
-            return None
-        return 100.0 * (1.0 - self.after.mean / self.before.mean)
-
-    @property
-    def words(self) -> str:
-        """Mean before and after in um, in a line."""
-        before = f"{self.before.mean / MICROMETRE:.1f} um"
-        if self.after is None or self.improvement_percent is None:
-            return before
-        after = f"{self.after.mean / MICROMETRE:.1f} um after calibration"
-        return f"{before}, {after} ({self.improvement_percent:.0f} % less)"
-
-    def as_json(self) -> dict[str, Any]:
-        """Criterion in the form of `calibration.json`."""
-        sides = {"before": self.before, "after": self.after}
-        sizes = {key: {"mean_um": s.sizes[0], "max_um": s.sizes[1]} for key, s in sides.items() if s is not None}
-        return sizes | ({} if self.after is None else {"improvement_percent": self.improvement_percent})
-
 
 CRITERIA = Table(
     "criteria.csv",
@@ -99,34 +65,6 @@ CRITERIA = Table(
 )
 
 
-@dataclass(frozen=True, repr=False)
-class Criteria(Result):
-    """Criteria of the paper; `distance_to_first` (eq. 11) is None after a verification."""
-
-    distance: Improvement
-    coordinate: Improvement
-    distance_to_first: Improvement | None = None
-
-    def _lines(self) -> list[str]:
-        parts = {"distance": self.distance, "coordinate": self.coordinate}
-        return [f"Criteria: {'; '.join(f'{name} {compared.words}' for name, compared in parts.items())}"]
-
-    def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"criteria": lambda: CRITERIA.filled(self._rows())}
-
-    def _rows(self) -> Iterator[list[Any]]:
-        named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
-        for name, improvement in {**named, "coordinate": self.coordinate}.items():
-            if improvement is not None:
-                sides = improvement.before.sizes, (None, None) if improvement.after is None else improvement.after.sizes
-                yield [name, *sides[0], *sides[1], improvement.improvement_percent]
-
-    def as_json(self) -> dict[str, Any]:
-        """Criteria in the form of `calibration.json`."""
-        named = {"distance": self.distance, "coordinate": self.coordinate, "distance_to_first": self.distance_to_first}
-        return {name: improvement.as_json() for name, improvement in named.items() if improvement is not None}
-
-
 class SpreadEntry(Entry):
     """Disagreement between stations [um]."""
 
@@ -135,30 +73,81 @@ class SpreadEntry(Entry):
     max_um: OptionalFloat = None
     """Largest."""
 
+    @classmethod
+    def of(cls, differences: Differences) -> Self:
+        """Mean and maximum of the disagreement."""
+        return cls(mean_um=differences.mean / MICROMETRE, max_um=differences.maximum / MICROMETRE)
+
 
 class CriterionEntry(Entry):
     """A criterion before and after a calibration."""
 
     before: SpreadEntry = SpreadEntry()
     """Readings as they are."""
-    after: SpreadEntry = SpreadEntry()
-    """Readings corrected."""
+    after: SpreadEntry | None = None
+    """Readings corrected; null without a calibration."""
     improvement_percent: OptionalFloat = None
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
+    @classmethod
+    def of(cls, before: Differences, after: Differences | None = None) -> Self:
+        """The criterion of the disagreement before a calibration and, where there is one, after it."""
+        if after is None:
+            return cls(before=SpreadEntry.of(before))
+        percent = None if before.mean == 0 else 100.0 * (1.0 - after.mean / before.mean)
+        return cls(before=SpreadEntry.of(before), after=SpreadEntry.of(after), improvement_percent=percent)
 
-class CriteriaFile(ResultFile):
-    """`criteria.json`: from `evaluate` and `verify`."""
+    @property
+    def words(self) -> str:
+        """Mean before and after in um, in a line."""
+        if self.before.mean_um is None:
+            return NONE
+        before = f"{self.before.mean_um:.1f} um"
+        if self.after is None or self.after.mean_um is None or self.improvement_percent is None:
+            return before
+        return f"{before}, {self.after.mean_um:.1f} um after calibration ({self.improvement_percent:.0f} % less)"
 
-    FILE: ClassVar[str] = "criteria.json"
-    format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
-    """Format and version of this file."""
+
+class CriteriaEntry(Entry):
+    """Criteria of the paper."""
+
     distance: CriterionEntry
     """Deviations of distances from their mean over stations."""
     coordinate: CriterionEntry
     """Deviations of coordinates after a rigid fit (eq. 12)."""
     distance_to_first: CriterionEntry | None = None
-    """Deviations of distances from the first station's (eq. 11)."""
+    """Deviations of distances from the first station's (eq. 11); null after a verification."""
+
+    def criteria_table(self) -> Table:
+        """Table of the criteria."""
+        named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
+        rows = []
+        for name, criterion in {**named, "coordinate": self.coordinate}.items():
+            if criterion is not None and criterion.before.mean_um is not None:
+                before, after = criterion.before, criterion.after or SpreadEntry()
+                sizes = before.mean_um, before.max_um, after.mean_um, after.max_um
+                rows.append([name, *sizes, criterion.improvement_percent])
+        return CRITERIA.filled(rows)
+
+
+class Criteria(ResultFile, CriteriaEntry):
+    """`criteria.json`: the result of `evaluate` and `verify`."""
+
+    FILE: ClassVar[str] = "criteria.json"
+    format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
+    """Format and version of this file."""
+
+    @classmethod
+    def of(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
+        """The result for a recording."""
+        entries = {name: getattr(criteria, name) for name in criteria.model_fields_set}
+        return cls(**entries, recording=SourceEntry.of(recording))
+
+    def _lines(self) -> list[str]:
+        return [f"Criteria: distance {self.distance.words}; coordinate {self.coordinate.words}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"criteria": self.criteria_table}
 
 
 def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
@@ -212,7 +201,7 @@ def evaluate(
     *,
     shift: Floats | None = None,
     use: Bools | None = None,
-) -> Criteria:
+) -> CriteriaEntry:
     """The criteria of a recording, before and after parameters (p,) or (n, p) [SI] of a construction correct it.
 
     `shift` (n, 3) [m, rad, rad] is what effects that were estimated too change the readings by: "after" takes it out.
@@ -233,19 +222,19 @@ def evaluate(
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
 
-    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> Improvement:
+    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> CriterionEntry:
         def of(clouds: Floats) -> Differences:
             return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
 
-        improvement = Improvement(of(before), None if after is None else of(after))
-        if not len(improvement.before.values):
+        raw = of(before)
+        if not len(raw.values):
             raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
-        return improvement
+        return CriterionEntry.of(raw, None if after is None else of(after))
 
-    return Criteria(
+    return CriteriaEntry(
         distance=compare(distance_differences, aligned=False),
         coordinate=compare(coordinate_differences, aligned=True),
-        distance_to_first=_to_first(before, after),
+        **_to_first(before, after),
     )
 
 
@@ -254,12 +243,13 @@ def _without(recording: Recording, shift: Floats | None) -> Recording:
     return recording if shift is None else recording.with_readings(recording.readings - shift)
 
 
-def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
-    """Eq. 11; None where no other station shares a pair of targets with the first."""
+def _to_first(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]:
+    """Eq. 11 by the name of its field; empty where no other station shares a pair of targets with the first."""
     differences = distance_differences_to_first(before)
     if not len(differences.values):
-        return None
-    return Improvement(differences, None if after is None else distance_differences_to_first(after))
+        return {}
+    corrected = None if after is None else distance_differences_to_first(after)
+    return {"distance_to_first": CriterionEntry.of(differences, corrected)}
 
 
 NOMINAL = Table(
@@ -296,7 +286,7 @@ def verify(
     values: Floats | None = None,
     *,
     shift: Floats | None = None,
-) -> Criteria:
+) -> CriteriaEntry:
     """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
 
     "After" applies parameters (p,) or (n, p) [SI] and takes `shift` (n, 3) out of the readings. Raises NetworkError
@@ -319,6 +309,8 @@ def verify(
 
     distance, coordinate = of(measured_points(recording))
     if construction is None or values is None:
-        return Criteria(Improvement(distance), Improvement(coordinate))
+        return CriteriaEntry(distance=CriterionEntry.of(distance), coordinate=CriterionEntry.of(coordinate))
     after = of(measured_points(_without(recording, shift), construction, values))
-    return Criteria(Improvement(distance, after[0]), Improvement(coordinate, after[1]))
+    return CriteriaEntry(
+        distance=CriterionEntry.of(distance, after[0]), coordinate=CriterionEntry.of(coordinate, after[1])
+    )

@@ -15,9 +15,9 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
-from ltsim.adjustment.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, item_of, two_sided
 from ltsim.adjustment.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_target_noise
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
+from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check, CheckArrays, Family, Item, Kind, SetUp, two_sided
 from ltsim.adjustment.fieldcheck.words import (
     bump_sentence,
     drift_sentence,
@@ -26,15 +26,12 @@ from ltsim.adjustment.fieldcheck.words import (
     instrument_sentence,
     target_sentence,
 )
-from ltsim.adjustment.identification import Test, identified, outcomes
+from ltsim.adjustment.identification import identified, outcomes
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.station_motions import WITNESSES, EvenMotion, by_runs
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.core.results import Columns, Result
-from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
@@ -42,7 +39,7 @@ from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import SourceEntry, write_result
+from ltsim.recordings.result_file import write_result
 
 LEVEL = 0.01
 MOST_GROSS = 0.1
@@ -54,70 +51,6 @@ TESTS = 6
 Words = Callable[[Recording, ColumnsFit, bool], str]
 MIN_TARGET_DOF = 6.0
 """Degrees of freedom from which a target shows a scatter of its own."""
-
-
-@dataclass(frozen=True)
-class SetUp(ValueEquality):
-    """Tests of a set-up: items, two-face differences (None without pairs) and model (None where nothing repeats).
-
-    `rows` are the rows of the whole recording, from 1.
-    """
-
-    station: str
-    items: tuple[Item, ...]
-    faces: Faces | None
-    visit: StationOccupation | None
-    rows: Ints
-    motions: tuple[StationMotion, ...] = ()
-    """Motions of the station during the occupation."""
-
-
-@dataclass(frozen=True, repr=False)
-class Check(Result):
-    """All set-ups of a recording, and whether the stations agree with each other."""
-
-    recording: Recording
-    setups: tuple[SetUp, ...]
-    network: tuple[Item, ...]
-    level: float
-    tests: tuple[Test, ...] = ()
-    """The simple causes that the readings support, and outliers; all items are of the recording without them."""
-
-    def _lines(self) -> list[str]:
-        return [self.sentence]
-
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"items": self._items}
-
-    def _items(self) -> Columns:
-        names = ("station", "kind", "passed", "p_value", "sentence")
-        return {name: [getattr(item, name) for item in self.items] for name in names}
-
-    @property
-    def items(self) -> tuple[Item, ...]:
-        """Every item: causes and mistakes of the work first, then set-up by set-up."""
-        mistakes = (item for item in self.network if item.kind == "mistake")
-        rest = (item for item in self.network if item.kind != "mistake")
-        return (*map(item_of, self.tests), *mistakes, *(item for setup in self.setups for item in setup.items), *rest)
-
-    @property
-    def passed(self) -> bool:
-        """True where every item passed (go)."""
-        return all(item.passed for item in self.items)
-
-    @property
-    def sentence(self) -> str:
-        """Go or no-go and why."""
-        failed = [item for item in self.items if not item.passed]
-        # What others follow from first: what was identified, then targets that scatter by themselves.
-        causes = failed[: sum(not item.passed for item in map(item_of, self.tests))]
-        rest = failed[len(causes) :]
-        rest.sort(key=lambda item: not (item.kind in CAUSES or (item.kind == "closure" and item.targets)))
-        failed = [*causes, *rest]
-        if failed:
-            more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-            return f"no-go: {failed[0].sentence}{more}"
-        return f"go: {len(self.setups)} set-up{'s' if len(self.setups) > 1 else ''} within noise and guarantee"
 
 
 def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float, float] | None = None) -> Check:
@@ -165,47 +98,22 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
         shared = Family(level, 2 * NETWORK_TESTS)
         together = items_of_network(shown, plain, shared, motions, with_target_noise=shown is not corrected)
         network = (*scattering, *together)
-    result = Check(whole, setups, network, level, causes)
+    result = Check.of(CheckArrays(whole, setups), network, level, causes)
     if not result.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return result
 
 
-def check_file(check: Check) -> CheckFile:
-    """The contents of `check.json`."""
-    return CheckFile(
-        recording=SourceEntry.of(check.recording),
-        passed=check.passed,
-        sentence=check.sentence,
-        level=check.level,
-        tests=check.tests,
-        items=check.items,
-    )
-
-
-def two_face_csv(check: Check) -> str:
-    """Half two-face differences with their limits, one row a pair."""
-    rows = []
-    for setup in check.setups:
-        if (faces := setup.faces) is None:
-            continue
-        sizes = np.concatenate([faces.pairs.half, faces.limit], axis=1) / (2 * [MICROMETRE, ARCSECOND, ARCSECOND])
-        for at, size, over in zip(setup.rows[faces.pairs.rows], sizes.tolist(), faces.over, strict=True):
-            target = check.recording.targets[check.recording.target[at[0] - 1]]
-            rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
-    return TWO_FACE.filled(rows).csv()
-
-
-def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> CheckFile:
-    """Write `check.json`, `two_face.csv` and `further` texts (a picture) into a folder; give what was written.
+def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> Check:
+    """Write `check.json`, `two_face.csv` and `further` texts (a picture) into a folder; the check with their digests.
 
     Raises
     ------
     RecordError
         When the folder cannot be written.
     """
-    return write_result(folder, check_file(check), {TWO_FACE.file: two_face_csv(check), **further})
+    return write_result(folder, check, {TWO_FACE.file: check.table("two_face").csv(), **further})
 
 
 @refusing_singular

@@ -10,7 +10,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.centring import centring_errors
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.fieldcheck.items import Family, Item, two_sided
+from ltsim.adjustment.fieldcheck.result import Family, Item, two_sided
 from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import reference_tests
 from ltsim.adjustment.reference_values import Kind

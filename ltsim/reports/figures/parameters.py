@@ -17,7 +17,7 @@ from ltsim.reports import style
 from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
 
 if TYPE_CHECKING:
-    from ltsim.calibration.history_schema import CourseEntry
+    from ltsim.calibration.history import CourseEntry
     from ltsim.planning.plan_entries import PlannedParameterEntry
     from ltsim.planning.result import Plan
 

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.adjustment.fieldcheck.check import Check
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.measurands.comparison import Comparison
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import Label, place_labels
@@ -97,8 +97,8 @@ def check_figure(check: Check) -> Figure:
 
 def _faces(ax: Axes, check: Check) -> None:
     names: list[str] = []
-    at = 0
-    for setup in check.setups:
+    at, recording = 0, check.arrays.recording
+    for setup in check.arrays.setups:
         if setup.faces is None:
             continue
         share = setup.faces.pairs.half / setup.faces.limit
@@ -107,7 +107,7 @@ def _faces(ax: Axes, check: Check) -> None:
             label = what if at == 0 else None
             ax.plot(places, share[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
         rows = setup.rows[setup.faces.pairs.rows[:, 0]] - 1
-        names += [check.recording.targets[check.recording.target[row]] for row in rows]
+        names += [recording.targets[recording.target[row]] for row in rows]
         at += len(share)
         ax.axvline(at - 0.5, ymax=BELOW_LEGEND, color=style.INK, lw=0.4)
     for limit in (-1.0, 1.0):
@@ -128,8 +128,8 @@ def _faces(ax: Axes, check: Check) -> None:
 
 
 def _course(ax: Axes, check: Check) -> None:
-    scale, unit = (60.0, "time [min]") if check.recording.has_clock else (1.0, "pointing")
-    for i, setup in enumerate(check.setups):
+    scale, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
+    for i, setup in enumerate(check.arrays.setups):
         if setup.visit is None:
             continue
         size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))

@@ -8,12 +8,12 @@ from ltsim.recordings.result_file import ResultFile, read_result
 from ltsim.reports.document import ReportContext, Section
 
 WRITERS = {
-    "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
-    "calibration.json": ("calibration", "CalibrationFile", "calibration_section"),
+    "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),
+    "calibration.json": ("calibration", "Calibration", "calibration_section"),
     "plan.json": ("plan", "Plan", "plan_section"),
-    "history.json": ("plain", "HistoryFile", "history_section"),
+    "history.json": ("plain", "History", "history_section"),
     "uncertainty.json": ("plain", "Uncertainty", "uncertainty_section"),
-    "check.json": ("plain", "CheckFile", "check_section"),
+    "check.json": ("plain", "Check", "check_section"),
     "comparison.json": ("plain", "Comparison", "comparison_section"),
     "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
     "next.json": ("plain", "NextMeasurement", "next_section"),

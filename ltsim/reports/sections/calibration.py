@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.criteria import CRITERIA
-from ltsim.calibration.calibration import NOISE, OUTLIERS, PARAMETERS
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.calibration.schema import NOISE, OUTLIERS, PARAMETERS, PLACES, RESIDUALS, TARGETS
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option
 from ltsim.core.notation import fixed, number
@@ -56,7 +55,7 @@ SETTLED = ("", "converged", "not stated")
 """Statuses of a fit that give no warning."""
 
 
-def calibration_section(content: CalibrationFile, context: ReportContext) -> Section:
+def calibration_section(content: Calibration, context: ReportContext) -> Section:
     """Section of a `calibration.json`; the recording adds the floor plan and the residuals before calibration.
 
     Raises
@@ -103,7 +102,7 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     if content.effects:
         blocks.append(Notes("Effects estimated with the calibration", [effect.sentence for effect in content.effects]))
     note = "Information: share of the prior variance that the recording removes; 0 % means that it adds nothing."
-    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=note)
+    blocks += undetermined("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     return Section(
@@ -119,7 +118,7 @@ def calibration_section(content: CalibrationFile, context: ReportContext) -> Sec
     )
 
 
-def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None) -> str:
+def _answer(content: Calibration, agreement_words: str, targets: Path | None) -> str:
     size = count(len(content.stations), "station")
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
@@ -129,14 +128,14 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
             f"The instrument was calibrated from {size}: {len(clear)} of "
             f"{count(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
         )
-    distance = content.criteria.get("distance")
+    distance = None if content.criteria is None else content.criteria.distance
     if distance is not None and distance.improvement_percent is not None:
         change = distance.improvement_percent
         word = "better" if change >= 0 else "worse"
         compared = f"{abs(change):.1f} % {word} than" if abs(change) >= LEAST_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
-            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
+            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um if distance.after else None)} um)"
         )
     if content.outliers:
         rejected = sum(outlier.excluded for outlier in content.outliers)
@@ -153,13 +152,13 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
     return f"{begin}.{accuracy}".rstrip()
 
 
-def _agrees_with_constants(content: CalibrationFile) -> bool:
+def _agrees_with_constants(content: Calibration) -> bool:
     """True if the readings agree as soon as the instrument's constants are estimated."""
     fit = content.with_constants
     return fit is not None and agreement(fit.chi2, fit.dof, fit.p_value)[0]
 
 
-def _constants_words(content: CalibrationFile) -> str:
+def _constants_words(content: Calibration) -> str:
     """Agreement of the readings with and without the instrument's constants; empty where that was not compared."""
     fit = content.with_constants
     if fit is None:
@@ -170,7 +169,7 @@ def _constants_words(content: CalibrationFile) -> str:
     return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
 
 
-def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
+def _facts(content: Calibration, *, agrees: bool) -> list[Fact]:
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
@@ -185,7 +184,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     return facts
 
 
-def _warnings(content: CalibrationFile, *, converged: bool, agrees: bool) -> list[Block]:
+def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Block]:
     """Blocks of warnings: failed convergence, outliers, estimated noise. A rejected fit promises no benefit."""
     blocks: list[Block] = []
     if not converged:
@@ -205,14 +204,14 @@ def _warnings(content: CalibrationFile, *, converged: bool, agrees: bool) -> lis
     return blocks + table_block("Noise estimated from the readings", NOISE.filled(content.noise), note=note)
 
 
-def _reference_values(content: CalibrationFile) -> list[Grid]:
+def _reference_values(content: Calibration) -> list[Grid]:
     note = "Residual: stated minus adjusted value; error: estimate from all other observations, +- one sigma."
     shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
     return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
 
 
-def _actions(content: CalibrationFile, *, good: bool) -> list[str]:
+def _actions(content: Calibration, *, good: bool) -> list[str]:
     """Next actions, the most urgent first."""
     actions = []
     remaining = [o for o in content.outliers if not o.excluded]
@@ -237,7 +236,7 @@ def _actions(content: CalibrationFile, *, good: bool) -> list[str]:
     return actions
 
 
-def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
+def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
     rows, true_values = content.parameters, {} if truth is None else truth.instrument
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
     true = [true_values[n] / FACTOR[truth.units[n]] if truth and n in true_values else None for n in names]
@@ -249,8 +248,8 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
         Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
         *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),
     ]
-    if len(content.covariance) == len(rows) and len(rows) > 1:
-        covariance = np.array(content.covariance)
+    if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
+        covariance = np.array(content.parameter_covariance)
         text = "Two parameters near +-100 % can hardly be separated with this network."
         drawn = Picture(
             "Correlation of the parameters",
@@ -261,32 +260,24 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
     return blocks
 
 
-def _criteria(content: CalibrationFile) -> list[Grid]:
-    rows = [
-        [
-            name.replace("_", " "),
-            *(e.before.mean_um, e.before.max_um, e.after.mean_um, e.after.max_um, e.improvement_percent),
-        ]
-        for name, e in content.criteria.items()
-        if e.before.mean_um is not None
-    ]
+def _criteria(content: Calibration) -> list[Grid]:
+    if content.criteria is None:
+        return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
+    return table_block("Criteria before and after calibration", content.criteria.criteria_table(), note=text)
 
 
-def _stations(content: CalibrationFile) -> list[Grid]:
-    header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
+def _stations(content: Calibration) -> list[Grid]:
     rows = [
-        [s.name, *(fixed(v, 3) for v in s.position_mm),
-         *(number(None if v is None else 2e3 * v, 2) for v in s.sigma_position_mm or (None,) * 3)]
+        [s.name, *s.position_mm, *(None if v is None else 2e3 * v for v in s.sigma_position_mm or (None,) * 3)]
         for s in content.stations
-    ]  # fmt: skip
+    ]
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return [Grid("Stations", header, rows, note=note)] if rows else []
+    return table_block("Stations", PLACES.filled(rows), note=note)
 
 
 def workshop_of(
-    content: CalibrationFile, recording: Recording | None, targets: Path, residuals: Residuals | None
+    content: Calibration, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> PlacedWorkshop:
     """Calibrated network for drawing."""
     from scipy.spatial.transform import Rotation

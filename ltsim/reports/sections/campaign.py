@@ -16,7 +16,7 @@ from ltsim.campaigns.results import Results
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of, errors_of
 from ltsim.campaigns.statistics import Checked, Scores, Spread
 from ltsim.core.notation import number
-from ltsim.core.results import Table as TableOf
+from ltsim.core.results import Table as TableOf, numbers, texts
 from ltsim.reports.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
 from ltsim.reports.figures.campaign import (
     ALLOWED,
@@ -51,6 +51,28 @@ LABELS = MappingProxyType(
         "share_removed": "share of the correctable error removed",
         "target_error_um": "error of the targets [µm]",
     }
+)
+
+VARIED = TableOf(
+    "varied.csv",
+    "settings that differ between cells",
+    texts(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
+)
+LEVELS = TableOf(
+    "levels.csv",
+    "means over the cells of each level",
+    (
+        *texts(factor="its title", level="its value", method="name", statistic="name"),
+        *numbers(mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"),
+    ),
+)
+ERRORS = TableOf(
+    "errors.csv",
+    "errors before and after calibration, with 95 % intervals of their means",
+    (
+        *texts(setting="cell", method="name", raw_um="uncorrected", calibrated_um="corrected"),
+        *texts(noise_floor_um="with the true parameters", share_removed="of the removable error"),
+    ),
 )
 
 
@@ -154,7 +176,7 @@ def _varied(results: Results) -> list[Block]:
         shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
         meaning = meaning_of(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
-    return [Grid("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
+    return [*table_block("What was varied", VARIED.filled(rows))]
 
 
 def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Grid]:
@@ -167,9 +189,8 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Gr
             for s in spreads[name]:
                 key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
                 groups.setdefault(key, []).append(s.mean)
-    rows = [[*key, *(number(v, 4) for v in (sum(m) / len(m), min(m), max(m)))] for key, m in groups.items()]
-    heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
-    return [Grid("Means over the settings of a level", heads, rows, text_columns=4)]
+    rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in groups.items()]
+    return table_block("Means over the settings of a level", LEVELS.filled(rows))
 
 
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
@@ -262,10 +283,8 @@ def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block
             [names[of[0].cell], of[0].method, *(_mean(s, "") for s in of)] for of in zip(*entries, strict=all(entries))
         ]
         named = "new point" if share.startswith("new_point") else "point"
-        header = ["setting", "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
         note = f"{_meaning(share)}. Noise floor: error with the true parameters. In brackets: 95 % interval."
-        if rows:
-            blocks.append(Grid(f"Error of a {named}", header, rows, text_columns=2, note=note))
+        blocks += table_block(f"Error of a {named}", ERRORS.filled(rows), note=note)
     return blocks
 
 

@@ -14,15 +14,29 @@ from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.errors import LtsimError
 from ltsim.core.notation import NONE, number, with_sigma
 from ltsim.core.probability import p_text, two_sided
+from ltsim.core.results import Table, texts
 from ltsim.core.units import FACTOR
-from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Misfit, Where
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.schema import BEFORE, TARGETS, UNDETECTABLE, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants, effect_words, parameter_words
 from ltsim.physics.effects import title_of
 from ltsim.physics.effects.verbs import effect_from
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
-from ltsim.reports.document import Block, Fact, Grid, Note, Picture, ReportContext, Section, mood, table_of
+from ltsim.reports.document import (
+    Block,
+    Fact,
+    Grid,
+    Note,
+    Notes,
+    Picture,
+    ReportContext,
+    Section,
+    mood,
+    table_block,
+    table_of,
+)
 from ltsim.reports.residuals import OBSERVABLE_UNIT, Residuals
 from ltsim.reports.sections.network import (
     Pair,
@@ -39,6 +53,11 @@ from ltsim.simulation.truth import AppliedEffect, Truth
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+INJECTED = Table(
+    "injected.csv",
+    "injected effects of a simulated recording beside the findings",
+    texts(quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"),
+)
 MOST_MARKED = 12
 """Largest number of targets that are marked in one picture."""
 LEAST_UM = 0.1
@@ -49,7 +68,7 @@ MOST_STEPS = 3
 """Smallest number of points that are drawn as a curve."""
 
 
-def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section:
+def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     """Section of a `diagnosis.json`; with a truth in its folder it begins with a comparison of both.
 
     Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
@@ -90,7 +109,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
-        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.effects])
+        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.applied])
         notice = f"This recording is simulated, with {what} injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
@@ -99,7 +118,7 @@ def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section
     )  # fmt: skip
 
 
-def _actions(content: DiagnosisFile) -> list[str]:
+def _actions(content: Diagnosis) -> list[str]:
     """Next actions: the measurement that separates explanations, places to inspect, coordinates to use."""
     if not content.findings:
         return []
@@ -131,7 +150,7 @@ def _swapped(finding: Finding) -> bool:
     return finding.effect == "target-swap" and len(finding.where.targets) == 2
 
 
-def _facts(content: DiagnosisFile) -> list[Fact]:
+def _facts(content: Diagnosis) -> list[Fact]:
     test = content.global_test
     plain = test.p_value if test.dof > 0 else None
     verdict = mood(content.verdict == "consistent")
@@ -152,7 +171,7 @@ def _ratio(fit: Misfit) -> str:
 
 
 def _residuals(
-    content: DiagnosisFile, context: ReportContext, pair: Pair | None
+    content: Diagnosis, context: ReportContext, pair: Pair | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings, with covariates from the geometry of the recording."""
     file, stored = (context.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
@@ -180,15 +199,16 @@ def _finding(
         blocks.append(Picture(f"Effect of finding {number_}", drawn, text))
     blocks += _whereabouts(finding, number_, pair)
     evidence = finding.evidence
-    rows = [[parameter_words(p.name), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
-    rows += [
-        ["where", _place(finding.where)],
-        ["chi2 falls by", f"{number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"],
-        ["p, corrected for the search", p_text(evidence.p_value)],
-        ["probability", f"{100 * evidence.probability:.3g} %"],
-        *([f"alternative: {effect_words(e.effect)}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
+    sizes = [p.model_copy(update={"name": parameter_words(p.name)}) for p in finding.parameters]
+    lines = [
+        f"where: {_place(finding.where)}",
+        f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
+        f"p, corrected for the search: {p_text(evidence.p_value)}",
+        f"probability: {100 * evidence.probability:.3g} %",
+        *(f"alternative: {effect_words(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
     ]
-    return [*blocks, Grid(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
+    blocks += table_of(f"Finding {number_} in figures", sizes, "name=parameter", "value+-sigma", "unit")
+    return [*blocks, Notes(f"Evidence of finding {number_}", lines)]
 
 
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
@@ -249,41 +269,29 @@ def _place_of(effect: Any) -> str:
     return listing([*effect.stations, *effect.targets]) or "everywhere"
 
 
-def _fit(content: DiagnosisFile) -> list[Block]:
-    if content.fit is None:
-        return []
-    pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
-    rows = [[word, number(f.chi2, 4), str(f.dof), _ratio(f), number(f.held_out_rms)] for word, f in pair]
+def _fit(content: Diagnosis) -> list[Grid]:
     note = (
         "Held-out error: 5-fold cross-validated prediction error over the stated noise (or the estimated noise, if "
         "larger); 1 is as good as the noise allows."
     )
-    header = ["", "chi2", "degrees of freedom", "ratio", "held-out error"]
-    return [Grid("Fit before and after", header, rows, note=note)]
+    return table_block("Fit before and after", content.table("fit"), note=note)
 
 
-def _hidden(content: DiagnosisFile) -> list[Block]:
+def _hidden(content: Diagnosis) -> list[Grid]:
     """Table of undetectable effects that cause relevant errors, the largest first."""
     relevant = [
         u for u in content.undetectable if u.undetected_target_error_um and u.undetected_target_error_um >= LEAST_UM
     ]
     worst = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
-    rows = [
-        [
-            title_of(u.effect),
-            number(u.undetected_target_error_um, 2),
-            number(u.detectable_at_factor, 2) if u.detectable_at_factor else "never",
-        ]
-        for u in worst
-    ]
-    header = ["effect", "undetected target error [um]", "detectable at times that size"]
+    named = [u.model_copy(update={"effect": title_of(u.effect)}) for u in worst]
+    table = UNDETECTABLE.filled(named).only("effect undetected_target_error_um detectable_at_factor")
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
     note += f" To detect them: {cures}." if cures else ""
-    return [Grid("Undetectable in this recording", header, rows, note=note)] if rows else []
+    return table_block("Undetectable in this recording", table, note=note)
 
 
-def _detectability(content: DiagnosisFile) -> list[Grid]:
+def _detectability(content: Diagnosis) -> list[Grid]:
     """Table of the smallest detectable sizes of effects."""
     note = (
         "Size at which about 80 % of the recordings of this network give a mismatch, for a median place; naming may "
@@ -292,17 +300,17 @@ def _detectability(content: DiagnosisFile) -> list[Grid]:
     return table_of("Smallest detectable size", content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
-def _against_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
+def _against_truth(content: Diagnosis, truth: Truth, pair: Pair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    named = {a.effect.name: a for a in truth.effects}
+    named = {a.effect.name: a for a in truth.applied}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
     rows = [
         row for injected, finding in zip_longest(ordered, content.findings) for row in _pair_rows(injected, finding)
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
-    table = Grid("Injected and diagnosed", ["", "injected", "diagnosed"], rows, 1, note)
-    return [*_curves(content, truth.effects[0], pair), table]
+    table = table_block("Injected and diagnosed", INJECTED.filled(rows), note=note)
+    return [*_curves(content, truth.applied[0], pair), *table]
 
 
 def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
@@ -330,7 +338,7 @@ def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[
     return rows
 
 
-def _curves(content: DiagnosisFile, applied: AppliedEffect, pair: Pair | None) -> list[Block]:
+def _curves(content: Diagnosis, applied: AppliedEffect, pair: Pair | None) -> list[Block]:
     finding = next((f for f in content.findings if f.effect == applied.effect.name), None)
     if pair is None or finding is None:
         return []

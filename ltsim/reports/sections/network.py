@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.calibration.combinations import Combination, DeterminedEntry
+from ltsim.calibration.combinations import UNDETERMINED, Combination, DeterminedEntry
 from ltsim.calibration.files import read_targets
+from ltsim.calibration.schema import PLACES
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
-from ltsim.core.notation import NONE, fixed, number
+from ltsim.core.notation import NONE, number
 from ltsim.core.probability import p_text, two_sided
+from ltsim.core.results import Table, numbers, texts
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures
@@ -30,6 +32,7 @@ from ltsim.reports.document import (
     Scene,
     Section,
     mood,
+    table_block,
     table_of,
 )  # fmt: skip
 from ltsim.reports.residuals import USUAL, Residuals
@@ -40,6 +43,15 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop
 
 TRUTH = "truth.json"
+WORK = Table(
+    "work.csv",
+    "work of each station",
+    (
+        *texts(station="name"),
+        *numbers(pointings="number", targets="number", faces="number", missing_readings="number"),
+        *texts(starts_at="time since the first pointing"),
+    ),
+)
 Pair = tuple[Adjustment, Adjustment]
 """Adjusted networks without and with the instrument's parameters."""
 
@@ -113,14 +125,10 @@ def scene(workshop: PlacedWorkshop) -> Scene | Note:
     return Scene("The workshop in 3D", webp_uri(picture), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Grid]:
+def undetermined(title: str, entries: Sequence[Combination], *, note: str = "") -> list[Grid]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
-    rows = [
-        [entry.terms, entry.cure or NONE, NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %"]
-        for entry in entries
-    ]
-    header = ["combination, in units of the prior sigma", "determined by", "information"]
-    return [Grid(title, header, rows, text_columns=2, note=note)] if rows else []
+    rows = [[entry.terms, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
+    return table_block(title, UNDETERMINED.filled(rows), note=note)
 
 
 def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Grid]:
@@ -135,9 +143,9 @@ def target_table(file: Path | None, *, note: str) -> list[Grid]:
         return []
     names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural(names[i]))
-    rows = [[names[i], *(fixed(1e3 * v, 4) for v in points[i]), *(number(2e6 * s, 2) for s in sigma[i])] for i in order]
-    header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
-    return [Grid("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
+    rows = [[names[i], *(1e3 * points[i]).tolist(), *(2e6 * sigma[i]).tolist()] for i in order]
+    note = f"U: expanded uncertainty, k = 2. {note}"
+    return table_block("Targets", PLACES.filled(rows), note=note, folds=False)
 
 
 def targets_in_words(sigma: Floats) -> str:
@@ -170,7 +178,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         Fact("pointings", str(len(recording))),
         Fact("known lengths", str(len(recording.gauge.distance))),
     ]
-    last: list[Block] = [_table(recording), _settings(folder)]
+    last: list[Block] = [*_table(recording), _settings(folder)]
     try:
         plain, full = adjusted(recording)
     except (NetworkError, ConvergenceError) as problem:
@@ -201,15 +209,14 @@ def _contents(recording: Recording) -> str:
     )
 
 
-def _table(recording: Recording) -> Grid:
+def _table(recording: Recording) -> list[Grid]:
     rows = []
     for s, name in enumerate(recording.stations):
         here = recording.station == s
         sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
         begin = duration(float(recording.time[here].min())) if recording.has_clock else NONE
-        rows.append([name, *map(str, sizes), str((~recording.measured[here]).sum()), begin])
-    header = ["station", "pointings", "targets", "faces", "missing readings", "starts at"]
-    return Grid("Work of each station", header, rows)
+        rows.append([name, *map(int, sizes), int((~recording.measured[here]).sum()), begin])
+    return table_block("Work of each station", WORK.filled(rows))
 
 
 def _settings(folder: Path) -> Block:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 from ltsim.acceptance.files import AcceptanceFile, passes_words
-from ltsim.adjustment.fieldcheck.items import CheckFile
-from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
-from ltsim.calibration.history_schema import HistoryFile
-from ltsim.core.notation import number, with_sigma
+from ltsim.adjustment.fieldcheck.result import Check
+from ltsim.calibration.calibration_series import ChangeEntry
+from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS, EventEntry
+from ltsim.calibration.history import History
+from ltsim.core.notation import number
 from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
@@ -18,7 +19,6 @@ from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
     Fact,
-    Grid,
     Note,
     Notes,
     Picture,
@@ -33,6 +33,7 @@ from ltsim.reports.words import count, distinct_labels, duration, listing, natur
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Named = TypeVar("Named", ChangeEntry, EventEntry)
 LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
 UNITED = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
@@ -50,7 +51,7 @@ AGAINST = {
 """Next action by the kinds of the failed tests."""
 
 
-def check_section(content: CheckFile, context: ReportContext) -> Section:
+def check_section(content: Check, context: ReportContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     drawn = context.file("check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: misfit of each pointing over time."
@@ -96,16 +97,11 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
     caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
-    groups = [
-        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
-        for g in content.groups
-    ]
-    share = "error + U over limit" if predicted else "error over limit"
     note = f"Assumed: {content.assumption}." if content.assumption else ""
     ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MOST_TESTS]
     blocks: list[Block] = [
         Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
-        Grid("Groups", ["tests", "number", "all pass", share], groups, note=note),
+        *table_block("Groups", content.table("groups"), note=note),
         *table_of(
             "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
             marked=lambda t: not predicted and t.passes < 1,
@@ -143,17 +139,10 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     judged_results = [r for r in content.results if r.conformity is not None]
     results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
-    judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
-               f"{100 * c.probability:.1f} %", c.judgement] for r in judged_results if (c := r.conformity)]  # fmt: skip
-    header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
-    blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
+    blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; the widest bar is the best to improve."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    hidden = [
-        [r.task, r.name, part.source, number(part.change, 3), r.unit] for r in content.results for part in r.hidden
-    ]
-    header = ["task", "result", "error", "change of the result", "unit"]
-    blocks += [Grid("Errors that no reading shows", header, hidden, 3, note=HIDDEN)] if hidden else []
+    blocks += table_block("Errors that no reading shows", content.table("hidden"), note=HIDDEN)
     blocks += [Notes("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
@@ -189,80 +178,77 @@ def next_section(content: NextMeasurement, _: ReportContext) -> Section:
     answer = f"Measure next: {best.do} ({duration(60 * best.minutes)}); the standard deviations of the "
     answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
     answer = sentence(content.advice) if content.between and content.advice else answer
-    rows = [[p.do, f"{p.minutes:.0f}", f"{100 * (1 - p.sharper):.0f} %",
-             f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
-    header = ["measurement", "time [min]", "mean fall of sigma", "largest for"]
-    note = "Fall of the standard deviations of the instrument's parameters."
-    blocks: list[Block] = [Grid("Further measurements, the best first", header, rows, note=note)]
+    note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
+    proposals = content.table("proposals").only("do minutes sharper serves serves_factor")
+    blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
-        rivals = content.between[1:]
-        now = ["current recording", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
-        evidence = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
-                for p in content.proposals if p.evidence]  # fmt: skip
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
-        heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
-        blocks.append(Grid("Separation of the alternatives", heads, [now, *evidence], note=explanation))
+        blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [Note("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("mean fall of sigma", f"{saved[0]:.0f} %")]
     actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
 
 
-def history_section(content: HistoryFile, _: ReportContext) -> Section:
+def history_section(content: History, _: ReportContext) -> Section:
     """Section of the history of an instrument."""
-    labels = [c.label for c in content.calibrations]
-    short = dict(zip(labels, distinct_labels(labels), strict=True))
+    labels = content.labels
+    content = _with_short_labels(content)
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
     changed = bool(content.events) if usual else since.p_value < LEVEL
-    determined = [p for p in content.parameters if p.constant.dof]
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, determined), text)
-    drawn = [course] if determined else []
-    ends: dict[str, Callable[[Any], str]] = {
-        "from_": lambda e: short.get(e.from_, e.from_),
-        "to": lambda e: short.get(e.to, e.to),
-    }
-    named = [e.model_copy(update={key: end(e) for key, end in ends.items()}) for e in content.events]
-    every = [*content.changes, since] if len(content.changes) > 1 else [since]
-    rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
-             f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value)] for c in every]  # fmt: skip
-    marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
+    figure = partial(figures.parameters.history_figure, labels, content.determined)
+    course = [Picture("Course of the parameters", figure, text)] if content.determined else []
     few = "no event can be detected" if len(labels) <= LEAST_STEPS else "only a gross event can be detected"
     hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
+    note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
+    scaled = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
+    changes = content.table("changes")
+    marked = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < LEVEL)
     blocks: list[Block] = [
-        Grid("Changes between calibrations", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
-              "Marked: p < 1 % for such differences without a change." + hardly * (not usual),
-              marked),
-        *drawn,
-        *table_of("Events: unusual steps", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
-                  "usual=its usual step", "unit", "p_value"),
-        Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
-              [[p.name, with_sigma(p.values[-1], p.sigmas[-1], p.unit), number(p.mean), number(p.spread),
-                p_text(p.constant.p_value)] for p in determined]),
-        Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
-              [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
-               for c in content.calibrations],
-              note="Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."),
-    ]  # fmt: skip
+        *table_block("Changes between calibrations", changes, note=note, marked=marked),
+        *course,
+        *table_block("Events: unusual steps", content.table("events")),
+        *table_block("Parameters", content.table("parameters")),
+        *table_block("Fits of the calibrations", content.table("fits"), note=scaled),
+    ]
     facts = [
         Fact("calibrations", str(len(labels))),
-        Fact("events", str(len(named)), mood(not named)),
+        Fact("events", str(len(content.events)), mood(not content.events)),
         Fact("p of no change since the first", p_text(since.p_value), mood(not changed)),
     ]
-    answer = f"Over {count(len(labels), 'calibration')} from {rows[-1][0]} to {rows[-1][1]} the instrument "
-    answer += _course_words(content, named, usual, ends)
+    answer = f"Over {count(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
+    answer += _course_words(content, usual)
     return Section("History of an instrument", "History", answer, mood(not changed), facts, blocks)
 
 
-def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
-    since = content.since_first
+def _with_short_labels(content: History) -> History:
+    """The history with the parts of its labels that distinguish them."""
+    short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
+
+    def relabelled(entry: Named) -> Named:
+        ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}
+        return entry.model_copy(update=ends)
+
+    return content.model_copy(
+        update={
+            "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
+            "changes": tuple(map(relabelled, content.changes)),
+            "events": tuple(map(relabelled, content.events)),
+            "since_first": relabelled(content.since_first),
+        }
+    )
+
+
+def _course_words(content: History, usual: bool) -> str:
+    since, events = content.since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         names = listing(list(dict.fromkeys(e.name for e in events)))
         return f"had an event (such as a service or a blow) {steps}, in {names}."
     if since.p_value >= LEVEL:
-        between = [f"{ends['from_'](c)} and {ends['to'](c)}" for c in content.changes if c.p_value < LEVEL]
+        between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < LEVEL]
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )

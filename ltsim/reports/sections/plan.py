@@ -46,7 +46,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     blocks += _tolerances(content) + _changes(content) + changed
     blocks += _curve(content) + _parameters(content)
     blocks += table_block("Expected by the paper's criteria", content.table("expected"))
-    blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
+    blocks += undetermined("Not determined by this layout", content.undetermined)
     blocks += _effects(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
     points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")

@@ -13,10 +13,9 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.evaluation.two_face import two_face
-from ltsim.adjustment.fieldcheck import Check, check, check_file
+from ltsim.adjustment.fieldcheck import Check, check
 from ltsim.adjustment.fieldcheck.check import best_bump
-from ltsim.adjustment.fieldcheck.occupation import StationOccupation
+from ltsim.adjustment.fieldcheck.occupation import StationOccupation, two_face
 from ltsim.adjustment.fieldcheck.words import plain
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.cli.check import changes, follow, mpe_of
@@ -63,7 +62,7 @@ def test_a_tracker_within_its_guarantee_is_a_go() -> None:
     """Two-face differences of several times the noise are no fault where the maker guarantees no less."""
     found = check(visits(3, stations=2, values=0.7))
     assert found.passed, found.sentence
-    faces = found.setups[0].faces
+    faces = found.arrays.setups[0].faces
     assert faces is not None
     assert np.sqrt(np.mean((faces.pairs.half / faces.noise) ** 2)) > 3
     assert found.sentence == "go: 2 set-ups within noise and guarantee"
@@ -412,13 +411,13 @@ def test_the_girder_epochs(shared: Path) -> None:
     recording = read(folder / "Polar_measurements_24Feb22.txt", hints=Hints(azimuth="clockwise"))
     found = check(recording)
     whole = two_face(recording)
-    pairs = [setup.faces.pairs for setup in found.setups if setup.faces is not None]
+    pairs = [setup.faces.pairs for setup in found.arrays.setups if setup.faces is not None]
     assert sum(map(len, pairs)) == len(whole)
     np.testing.assert_allclose(np.concatenate([p.half for p in pairs]), whole.half, atol=1e-12)
     gross = next(item for item in found.items if item.kind == "gross" and item.station == "Instrument_0")
     assert "K6" in gross.targets
     assert not found.passed
-    assert check_file(found).sentence.startswith("no-go: Instrument_0 to K6: rows 81 and 82 are 52")
+    assert found.sentence.startswith("no-go: Instrument_0 to K6: rows 81 and 82 are 52")
 
 
 @pytest.mark.long

@@ -10,10 +10,10 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.evaluation.two_face import face_pairs
 from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.fieldcheck.check import LEVEL
 from ltsim.adjustment.fieldcheck.network import RARE
+from ltsim.adjustment.fieldcheck.occupation import face_pairs
 from ltsim.adjustment.quality import warnings_of
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError

@@ -1,0 +1,182 @@
+"""Arrays of a calibration in SI units, from a file too, and the tables of its targets and residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import FREED
+from ltsim.calibration.schema import RESIDUALS, SHOWN_UNITS, TARGETS, ParameterEntry
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import ModelError, RecordError, unknown_name
+from ltsim.core.results import Table
+from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.core.values import ValueEquality
+from ltsim.physics.model.construction import Construction, with_parameters
+from ltsim.recordings.files import shown
+from ltsim.recordings.recording import OBSERVABLES
+
+
+@dataclass(frozen=True)
+class CalibrationArrays(ValueEquality):
+    """Parameters of I instruments with p parameters each, and T targets; SI units."""
+
+    construction: Construction
+    instruments: tuple[str, ...]
+    """Names of the instruments; a single unnamed instrument is called ''."""
+    values: Floats
+    """Estimates, (I, p)."""
+    prior_sigma: Floats
+    """Prior standard deviations, (I, p)."""
+    covariance: Floats
+    """Covariance of the estimates, zero for parameters that were held, (I p, I p)."""
+    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    """Parameters that were not estimated but held at their value, (I, p)."""
+    prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    """Parameters whose prior the readings contradict, and whose estimate follows them, (I, p)."""
+    applied_values: Floats | None = None
+    """Parameters to apply to readings; None where these are the estimates, (I, p)."""
+    null_space: Floats | None = field(default=None, repr=False)
+    """Combinations, in prior sigmas, that a distance method did not estimate, (k, I p); they stay at zero."""
+    targets: tuple[str, ...] = ()
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """Coordinates of the targets, (T, 3) [m]."""
+    target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """Covariance of each target, (T, 3, 3) [m^2]."""
+    adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
+    """The adjusted network; None for a calibration that was read from a file."""
+
+    def __post_init__(self) -> None:
+        for name in ("held", "prior_rejected"):
+            if getattr(self, name).shape != self.values.shape:
+                object.__setattr__(self, name, np.zeros(self.values.shape, dtype=bool))
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviations of the estimates, (I, p)."""
+        return np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
+
+    @property
+    def prior_used(self) -> Floats:
+        """Standard deviations of the prior that the estimates had, (I, p)."""
+        return np.where(self.prior_rejected, FREED, 1.0) * self.prior_sigma
+
+    @property
+    def bias_operator(self) -> Floats:
+        """Bias operator (I p, I p), in prior sigmas: the expected error of the estimates is -bias_operator @ truth."""
+        if self.null_space is not None:
+            return self.null_space.T @ self.null_space
+        unit = self.prior_sigma.ravel()
+        return self.covariance / np.outer(unit, unit)
+
+    def part(self, instrument: int, keep: Ints) -> CalibrationArrays:
+        """Arrays of one instrument with the parameters `keep` (k,)."""
+        row, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
+        return replace(
+            self,
+            construction=self.construction.only(keep),
+            instruments=self.instruments[row],
+            values=self.values[row, keep],
+            prior_sigma=self.prior_sigma[row, keep],
+            covariance=self.covariance[np.ix_(at, at)],
+            held=self.held[row, keep],
+            prior_rejected=self.prior_rejected[row, keep],
+        )
+
+
+def arrays_from(
+    construction: str, rows: Sequence[ParameterEntry], covariance: Sequence[Sequence[float]], file: object
+) -> tuple[CalibrationArrays, list[str]]:
+    """Arrays of the parameters of a file, and the names of the parameters that it lacks.
+
+    A file without a covariance gets a diagonal one; missing parameters are zero with their prior sigma.
+
+    Raises
+    ------
+    RecordError
+        One sentence: key, value, expected value.
+    """
+    try:
+        built = with_parameters(construction, [row.name for row in rows])
+    except ModelError as problem:
+        raise RecordError(str(problem), file=file) from None
+    instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
+    place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
+    at = _places(construction, rows, place, built.names, file)
+    factor = np.array([FACTOR[row.unit] for row in rows])
+
+    def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
+        """The default [SI], replaced by the values of the file."""
+        merged, given = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
+        merged[at] = np.where(np.isnan(given), default[at], given)
+        return merged
+
+    nominal = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
+    values = filled(np.zeros(len(place)), [row.value for row in rows])
+    prior = filled(nominal, [row.prior_sigma for row in rows])
+    applied = filled(values, [row.applied for row in rows])
+    merged = np.diag(filled(prior, [row.sigma for row in rows]) ** 2)
+    if len(covariance):
+        merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
+    held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
+    held[at], prior_rejected[at] = [row.held for row in rows], [row.prior_rejected for row in rows]
+    shape = (len(instruments), built.size)
+    arrays = CalibrationArrays(
+        construction=built,
+        instruments=instruments,
+        values=values.reshape(shape),
+        prior_sigma=prior.reshape(shape),
+        covariance=merged,
+        held=held.reshape(shape),
+        prior_rejected=prior_rejected.reshape(shape),
+        applied_values=None if np.array_equal(applied, values) else applied.reshape(shape),
+    )
+    return arrays, [f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at]
+
+
+def _places(
+    construction: str,
+    rows: Sequence[ParameterEntry],
+    place: dict[tuple[str, str], int],
+    names: Sequence[str],
+    file: object,
+) -> list[int]:
+    """Indices of the file's parameters among those of the instruments; their names and units are checked."""
+    at: list[int] = []
+    for number, row in enumerate(rows, start=1):
+        if (row.instrument, row.name) not in place:
+            kind = f"parameter of construction {construction}"
+            raise RecordError(f"parameters: {unknown_name(kind, shown(row.name), names)}", file=file, row=number)
+        if row.unit not in FACTOR:
+            expected = f"expected one of {', '.join(FACTOR)}"
+            raise RecordError(f"parameters: unknown unit '{shown(row.unit)}'; {expected}", file=file, row=number)
+        at.append(place[row.instrument, row.name])
+        if at[-1] in at[:-1]:
+            problem = f"parameters: '{shown(row.name)}' occurs twice; expected one entry per parameter"
+            raise RecordError(problem, file=file, row=number)
+    return at
+
+
+def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
+    """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row, or no height alone."""
+    sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
+    cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
+    placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
+    return TARGETS.filled([names[i], *cells[i].tolist()] for i in placed)
+
+
+def residuals_table(adjustment: Adjustment) -> Table:
+    """Table of residuals: a row per observation in use, numbered from 1."""
+    recording = adjustment.recording
+
+    def row(i: int, k: int) -> list[object]:
+        unit, factor = SHOWN_UNITS[k]
+        names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+        size = adjustment.residuals[i, k] / factor, unit, adjustment.redundancy[i, k], adjustment.w[i, k]
+        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
+
+    return RESIDUALS.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.use).tolist())

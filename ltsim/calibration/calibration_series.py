@@ -1,0 +1,347 @@
+"""Calibrations of one instrument over time: the course of its parameters, and whether it has changed.
+
+Two calibrations that share a prior are not independent: without information both give the prior's zero, and
+their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
+unchanged instrument would give, drawn from the prior and measured anew each time.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field
+from scipy import linalg, special
+
+from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError, option
+from ltsim.core.values import ValueEquality
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.result_file import Entry, Finite
+
+RESOLVED = 1e-12
+"""Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
+variances."""
+ROUNDS, SETTLED = 2000, 1e-4
+LEVEL = 0.01
+"""A parameter is reported as changed at this family-wise level (Holm over the parameters of two calibrations)."""
+
+
+class ChiSquareEntry(Entry):
+    """A chi-square test."""
+
+    chi2: Finite
+    """Weighted sum of squares."""
+    dof: int
+    """Degrees of freedom."""
+    p_value: Finite
+    """p-value: probability of as large a chi-square or larger; 1 without degrees of freedom."""
+
+    @classmethod
+    def of(cls, chi2: float, dof: int) -> Self:
+        """The test of a statistic."""
+        return cls(chi2=chi2, dof=dof, p_value=float(special.chdtrc(dof, max(chi2, 0.0))) if dof else 1.0)
+
+
+class DifferenceEntry(Entry):
+    """Later minus earlier estimate of one parameter."""
+
+    name: str
+    """Name of the parameter."""
+    difference: Finite
+    """Later minus earlier estimate, in `unit`."""
+    sigma: Finite
+    """Standard deviation of the difference."""
+    unit: str
+    """Unit of the difference and of its standard deviation."""
+    p_value: Finite
+    """Two-sided p-value of the difference without a change."""
+
+
+class ChangeEntry(ChiSquareEntry):
+    """Change between two calibrations."""
+
+    from_: str = Field(alias="from")
+    """The earlier calibration."""
+    to: str
+    """The later one."""
+    changed: tuple[str, ...] = ()
+    """Parameters that differ."""
+    parameters: tuple[DifferenceEntry, ...] = ()
+    """All differences."""
+
+
+@dataclass(frozen=True)
+class Population(ValueEquality):
+    """Mean of an instrument's parameters, and their spread from one calibration to the next."""
+
+    mean: Floats
+    """(p,) [SI]."""
+    covariance: Floats
+    """(p, p) [SI], of the mean."""
+    spread: Floats
+    """Standard deviation of the parameters themselves between calibrations, without that of their estimates, (p,) [SI].
+    """
+
+
+@dataclass(frozen=True)
+class CalibrationSeries(ValueEquality):
+    """Calibrations of one instrument in the order of time."""
+
+    labels: tuple[str, ...]
+    """Labels, one per calibration."""
+    calibrations: tuple[Calibration, ...]
+    """Each of one instrument, all with the same construction."""
+    days: Floats | None = None
+    """Days since the first; None where not all are dated, (K,)."""
+
+    @classmethod
+    def of(
+        cls,
+        named: Sequence[tuple[str, Calibration]],
+        instrument: str | None = None,
+        dates: Sequence[str] | None = None,
+    ) -> CalibrationSeries:
+        """Series of labelled calibrations; `instrument` chooses where a calibration holds several.
+
+        `dates` (ISO form, one a calibration) stand in for those of the recordings behind them.
+
+        Raises
+        ------
+        RecordError
+            When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
+            uncertainty, or the dates are none or out of order.
+        """
+        if len(named) < 2:
+            raise RecordError(f"the history has {len(named)} calibration(s); expected at least two to compare")
+        if len({c.construction.names for _, c in named}) > 1:
+            raise RecordError("the calibrations hold different parameters, expected one construction for all")
+        if not named[0][1].construction.size:
+            raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
+        for label, calibration in named:
+            if calibration.history_prior:
+                how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
+                raise RecordError(f"{how}; expected calibrations that are independent of each other")
+        chosen = _estimated([single_instrument(calibration, instrument, label) for label, calibration in named])
+        for (label, _), calibration in zip(named, chosen, strict=True):
+            unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
+            if len(unsure):
+                name = calibration.construction.names[unsure[0]]
+                raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
+        labels = tuple(label for label, _ in named)
+        declared = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
+        return cls(labels, chosen, days_of(labels, declared))
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    @property
+    def construction(self) -> Construction:
+        """The construction all calibrations share."""
+        return self.calibrations[0].construction
+
+    @cached_property
+    def values(self) -> Floats:
+        """(K, p) [SI]."""
+        return np.array([c.values[0] for c in self.calibrations])
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """(K, p) standard deviations [SI]."""
+        return np.array([c.sigma[0] for c in self.calibrations])
+
+    @cached_property
+    def prior_sigma(self) -> Floats:
+        """(p,) the widest prior sigma of each parameter [SI], the unit of all that is computed here."""
+        return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
+
+    @cached_property
+    def _evidence(self) -> list[LikelihoodInformation]:
+        return [
+            likelihood_information(c.values[0], c.covariance, c.arrays.prior_used[0], self.prior_sigma)
+            for c in self.calibrations
+        ]
+
+    @cached_property
+    def _informative(self) -> Floats:
+        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations inform on average."""
+        remaining = np.mean([e.remaining for e in self._evidence], axis=0)
+        values, vectors = linalg.eigh(remaining)
+        return vectors[:, 1.0 - values > UNINFORMATIVE]
+
+    @cached_property
+    def _joint(self) -> Floats:
+        """Covariance (K, p, K, p) of the estimates of an unchanged instrument, in prior sigmas.
+
+        Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
+        """
+        remaining = np.array([e.remaining for e in self._evidence])
+        pull = np.array([e.remaining @ e.information for e in self._evidence])
+        joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
+        for i in range(len(self)):
+            joint[i, :, i] += pull[i] @ remaining[i]
+        return joint
+
+    def change(self, first: int, second: int) -> ChangeEntry:
+        """Change from calibration number `first` to number `second`: later minus earlier, each with its p-value.
+
+        Parameters that changed are identified by Holm's procedure at `LEVEL`; the p-value of an undetermined one is 1.
+        """
+        contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
+        contrast[0, [first, second]] = -1.0, 1.0
+        gap, spread = self._contrasted(contrast, np.eye(len(parameters)))
+        sigma = np.sqrt(np.where(self._gain > UNINFORMATIVE, np.diag(spread), 0.0))
+        z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+        chances = 2.0 * special.ndtr(-np.abs(z))
+        order = np.argsort(chances)
+        holds = chances[order] > LEVEL / np.arange(len(order), 0, -1)
+        changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
+        unit = self.prior_sigma / [p.factor for p in parameters]
+        test: dict[str, Any] = _test(*self._contrasted(contrast, self._informative)).model_dump()
+        return ChangeEntry(
+            **test | {"from": self.labels[first], "to": self.labels[second]},
+            changed=tuple(parameters[k].name for k in changed),
+            parameters=tuple(
+                DifferenceEntry(
+                    name=p.name, difference=gap[k] * scale, sigma=sigma[k] * scale, unit=p.unit, p_value=chance
+                )
+                for k, (p, scale, chance) in enumerate(zip(parameters, unit, chances, strict=True))
+            ),
+        )
+
+    @cached_property
+    def _gain(self) -> Floats:
+        """Mean share (p,) of each parameter's prior variance that the readings removed."""
+        return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
+
+    def changes(self) -> list[ChangeEntry]:
+        """Each calibration against the one before."""
+        return [self.change(i, i + 1) for i in range(len(self) - 1)]
+
+    def constancy(self, parameter: int | None = None) -> ChiSquareEntry:
+        """Test that one set of values explains all calibrations: of all parameters, or of one by its index."""
+        contrast = np.diff(np.eye(len(self)), axis=0)
+        if parameter is None:
+            return _test(*self._contrasted(contrast, self._informative))
+        if not self._gain[parameter] > UNINFORMATIVE:
+            return ChiSquareEntry.of(0.0, 0)
+        return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
+
+    def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
+        """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
+        values = contrast @ (self.values / self.prior_sigma) @ combination
+        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint, combination, optimize=True)
+        spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
+        return values.ravel(), spread.reshape(values.size, values.size)
+
+    @cached_property
+    def population(self) -> Population:
+        """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
+
+        By expectation-maximisation with the mean as an unknown (Patterson and Thompson, Biometrika 58 (1971) 545), so
+        that estimating the mean from the same few calibrations does not bias the spread. The mean keeps the prior for
+        combinations that no calibration informs. The spread of a parameter that no calibration informs is the prior
+        sigma.
+        """
+        information = np.array([e.information for e in self._evidence])
+        vectors = np.array([e.information_vector for e in self._evidence])
+        identity, variance = np.eye(self.construction.size), np.ones(self.construction.size)
+        mean, of_mean = np.zeros(self.construction.size), identity
+        for _ in range(ROUNDS):
+            # With N and V: weight of the mean in an estimate, covariance of the estimate, covariance of the mean.
+            keeps = np.linalg.inv(identity + variance[:, None] * information)
+            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + identity)
+            mean = of_mean @ np.einsum("kba,kb->a", keeps, vectors)
+            single = np.einsum("kab,kb->ka", keeps, variance * vectors + mean)
+            deviation = keeps - identity
+            remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
+            spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
+            spread = np.maximum(spread, RESOLVED)
+            settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
+            variance = spread
+            if settled:
+                break
+        silent = self._gain < UNINFORMATIVE
+        mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
+        unit = self.prior_sigma
+        return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
+
+    def as_prior_of(self, calibration: Calibration) -> Calibration:
+        """Calibration with the history's population as its prior instead of the maker's.
+
+        For a calibration that is not part of the history. Parameters that hardly vary are taken from the history,
+        those that do from the calibration, each by its weight.
+        """
+        population, unit = self.population, self.prior_sigma
+        single = single_instrument(calibration, None, "the calibration")
+        spread = population.spread / unit
+        likelihood = likelihood_information(single.values[0], single.covariance, single.arrays.prior_used[0], unit)
+        covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
+        values = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
+        return single.with_changes(
+            values=(values * unit)[None],
+            covariance=covariance * np.outer(unit, unit),
+            prior_sigma=population.spread[None],
+            correction=None,
+        )
+
+
+def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
+    """The part of a calibration that belongs to one instrument, without its network.
+
+    Raises
+    ------
+    RecordError
+        When it holds several and none of them is named `instrument`.
+    """
+    names = calibration.instruments
+    if len(names) == 1:
+        return calibration
+    if instrument not in names:
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
+    return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
+
+
+def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
+    """Calibrations (of one instrument) with the parameters that none of them held; raises RecordError for none."""
+    held = np.any([c.held[0] for c in calibrations], axis=0)
+    if held.all():
+        raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
+    return tuple(c.part(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
+
+
+def _test(gap: Floats, spread: Floats) -> ChiSquareEntry:
+    """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
+    values, vectors = linalg.eigh(0.5 * (spread + spread.T))
+    resolved = values > RESOLVED * max(float(values[-1]), 0.0)
+    z = (vectors[:, resolved].T @ gap) / np.sqrt(values[resolved])
+    return ChiSquareEntry.of(float(z @ z), int(resolved.sum()))
+
+
+def days_of(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
+    """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
+    if len(dates) != len(labels):
+        problem = f"there are {len(dates)} dates for {len(labels)} calibrations"
+        raise RecordError(f"{problem}; expected one date per calibration")
+    declared = [date for date in dates if date]
+    if len(declared) < len(dates):
+        return None
+    try:
+        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in declared]
+    except ValueError:
+        problem = f"the dates {', '.join(declared)} are not all in ISO form"
+        raise RecordError(f"{problem}; expected dates such as 2026-05-31") from None
+    days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
+    back = np.flatnonzero(np.diff(days) < 0)
+    if len(back):
+        i = int(back[0])
+        message = f"{labels[i]} ({declared[i]}) is listed before {labels[i + 1]} ({declared[i + 1]})"
+        raise RecordError(f"{message}; expected calibrations in the order of time")
+    return days

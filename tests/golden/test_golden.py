@@ -1,0 +1,37 @@
+"""The numbers of thirty commands are those of the committed file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.golden.commands import COMMANDS, NUMBERS, STATUS, written
+
+AGREEMENT = 1e-9
+"""Largest difference of a number, relative to the root mean square of its column."""
+
+
+def test_thirty_commands_of_all_verbs_are_listed() -> None:
+    assert len(COMMANDS) == 30
+    assert set(STATUS) < set(COMMANDS)
+
+
+@pytest.mark.long
+def test_the_numbers_are_those_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If a change of the numbers is intended: ``python -m tests.golden.commands``, and say why in the commit."""
+    monkeypatch.chdir(tmp_path)
+    expected: dict[str, dict[str, Any]] = json.loads(NUMBERS.read_text("utf-8"))
+    assert list(expected) == list(COMMANDS)
+    differences = []
+    for name, columns in written():
+        assert columns.keys() == expected[name].keys(), name
+        for key, values in columns.items():
+            count, rms, weighted = expected[name][key]
+            scale = [1.0, rms, rms * max(count, 1.0)]
+            if not np.all(np.abs(np.subtract(values, (count, rms, weighted))) <= AGREEMENT * np.array(scale)):
+                differences.append(f"{name} {key}: {values}, expected {[count, rms, weighted]}")
+    assert not differences
