@@ -195,8 +195,8 @@ def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, 
     sigma = fit.problem.sigma
     for i in (i for i in moved if every[i].name in suspects):
         parts = every[i].before, every[i].rows
-        points = [_place(fit, rows) for rows in parts]
-        if points[0] is None or points[1] is None:
+        points = [point for rows in parts if (point := _place(fit, rows)) is not None]
+        if len(points) < len(parts):
             continue
         displacement = np.zeros((len(sightings), 3))
         for rows, point in zip(parts, points, strict=True):
