@@ -109,9 +109,7 @@ def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
 
 def _fitted(entry: FittedT, factor: float) -> FittedT:
     """An entry of fitted parameters with their standard deviations multiplied by a factor."""
-    parameters = tuple(
-        p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters
-    )
+    parameters = tuple(p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters)
     return entry.with_values(parameters=parameters)
 
 

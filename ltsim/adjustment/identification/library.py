@@ -230,14 +230,14 @@ def conventions(recording: Recording) -> list[Hypothesis]:
 
 def exchanges(recording: Recording) -> list[Hypothesis]:
     """Two reference points with each other's coordinates: by the shape of the network without reference points."""
-    stated = {name: recording.target_setup(name) for name in recording.targets}
-    names = [name for name, target in stated.items() if target.known_mm is not None and target.known_axes == "xyz"]
+    declared = {name: recording.target_setup(name) for name in recording.targets}
+    names = [name for name, target in declared.items() if target.known_mm is not None and target.known_axes == "xyz"]
     if len(names) < LEAST_POINTS:
         return []
     try:
         (_, _, points), _ = initial_network(without_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
-        there = np.array([stated[name].known_mm for name in names]) * MILLIMETRE
+        there = np.array([declared[name].known_mm for name in names]) * MILLIMETRE
         miss = largest_miss(here, there)
         pairs = list(combinations(range(len(names)), 2))
         swapped = [largest_miss(here, there[_swapped(len(names), *pair)]) for pair in pairs]

@@ -37,8 +37,8 @@ def resected(problem: NetworkProblem, state: State) -> State:
         if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
             continue
         sight = Sight(front[rows], recording.is_horizontal[rows], lift[rows])
-        for left_out in range(len(OBSERVABLES)):
-            pose = fit_pose(sight.without(left_out), state.points[recording.target[rows]])
+        for observable in range(len(OBSERVABLES)):
+            pose = fit_pose(sight.without(observable), state.points[recording.target[rows]])
             if pose is None:
                 continue
             position, rotation = state.position.copy(), state.rotation.copy()

@@ -48,7 +48,7 @@ COMPUTED = 1e-6
 AGREES, FEW = 0.01, 0.01
 """Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
 FAR_AMONG = 3
-"""One in so many reference values may be far off and left out at the beginning: of more no majority tells which."""
+"""Reference values among which one may be far off and omitted at the beginning: of more no majority tells which."""
 AFTER_ALL = 0.5
 """Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
 BENDS = 50.0
@@ -186,14 +186,14 @@ def _beginning(network: Network) -> Fit:
 
     With these a network bends so far that nothing else of it can be seen.
     """
-    stated = conventions(network.recording)
-    far, count = Fit.far_references(network, stated)
+    corrections = conventions(network.recording)
+    far, count = Fit.far_references(network, corrections)
     if any(value.kind == "point" for value in far) and (names := exchanges(network.recording)):
-        stated = [*stated, *names]
-        far, count = Fit.far_references(network, stated)
+        corrections = [*corrections, *names]
+        far, count = Fit.far_references(network, corrections)
     omitted = omissions_of(network.recording, far) if FAR_AMONG * len(far) <= max(count, FAR_AMONG) else []
-    fit = Fit.of(network, (*stated, *omitted))
-    if fit is None and (stated or omitted):
+    fit = Fit.of(network, (*corrections, *omitted))
+    if fit is None and (corrections or omitted):
         fit = Fit.of(network)
     if fit is None:
         raise NetworkError("the observations contradict each other so far that no network fits them")

@@ -22,7 +22,7 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
-    return reading_change(sightings, _seen_from(sightings, motion).local)
+    return reading_change(sightings, _apparent(sightings, motion).local)
 
 
 def _displaced(sightings: Sightings, displacement: Floats) -> Sightings:
@@ -30,7 +30,7 @@ def _displaced(sightings: Sightings, displacement: Floats) -> Sightings:
     return replace(sightings, lift=displacement if sightings.lift is None else sightings.lift + displacement)
 
 
-def _seen_from(sightings: Sightings, motion: Floats) -> Sightings:
+def _apparent(sightings: Sightings, motion: Floats) -> Sightings:
     """Sightings with reflectors where they appear from stations that moved by (n, 6)."""
     back = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
     apparent = np.einsum("nij,nj->ni", back, sightings.arm - motion[:, :3])
@@ -93,7 +93,7 @@ class StationMotion(Effect):
 
     def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
         motion = self.motion(sightings)
-        return station_design(_seen_from(sightings, motion @ values)) @ motion
+        return station_design(_apparent(sightings, motion @ values)) @ motion
 
     def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats]:
-        return _change_by_geometry(sightings, _seen_from(sightings, self.motion(sightings) @ values))
+        return _change_by_geometry(sightings, _apparent(sightings, self.motion(sightings) @ values))
