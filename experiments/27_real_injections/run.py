@@ -1,6 +1,7 @@
 """Causes put into real recordings of others: what share is found, placed and told rightly, and what is told falsely.
 
     python -m experiments 27               # goes on where it was broken off
+    python -m experiments 27 at-100        # strength 100 alone, as asked of the present search
     python -m experiments 27 told-noise    # strength 100 alone, the noise that the readings have being stated
     python -m experiments 27 tables        # table and curves of the committed rows
 
@@ -170,6 +171,13 @@ def injected(given: Options, settings: Row, told_noise: bool) -> list[Row]:
 
 def run(given: Options) -> Made:
     settings, files = given.config, [given.out / "rows.csv", given.out / "told_noise.csv"]
+    if "at-100" in given.words:
+        rows = injected(given, settings | {"strengths": [100]}, told_noise=False)
+        write_table(given.out / "rows_100.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
+        seen = [r for r in rows if not r["hidden"]]
+        parts = {"all": seen} | {r[c]: [s for s in seen if s[c] == r[c]] for c in ("file", "kind") for r in seen}
+        write_table(given.out / "table_100.csv", [row for name, some in parts.items() for row in rates(some, 100, name)])
+        return Made(settings["seed"], given.trials)
     if "told-noise" in given.words:
         rows = injected(given, settings | {"strengths": [100]}, told_noise=True)
         write_table(files[1], [{k: r.get(k, "") for k in COUNTED} for r in rows])
