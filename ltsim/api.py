@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
 from ltsim.recordings.exchange import RecordingSource, is_recording
 from ltsim.recordings.native import OBSERVATIONS
-from ltsim.recordings.result_file import read_json, read_result
-
-if TYPE_CHECKING:
-    from ltsim.calibration.calibration import Calibration
-    from ltsim.diagnosis.diagnosis import Diagnosis
-    from ltsim.planning.result import Plan
-    from ltsim.simulation.truth import Truth
+from ltsim.recordings.result_file import ResultFile, read_json, read_result, write_result
 
 
 def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Any:  # noqa: A002
@@ -88,7 +82,7 @@ def _read_result(file: Path) -> Any:
 
 
 def write(
-    result: Recording | Truth | Calibration | Diagnosis | Plan,
+    result: Recording | ResultFile,
     path: str | Path,
     *,
     format: str = "native",  # noqa: A002
@@ -98,7 +92,7 @@ def write(
 
     Parameters
     ----------
-    result : Recording, Truth, Calibration, Diagnosis or Plan
+    result : Recording, or what a verb with a file returns
     path : str or Path
         Of the folder or file; what is there is replaced.
     format : str
@@ -109,7 +103,7 @@ def write(
     Raises
     ------
     ModelError
-        When the object is none of these.
+        When the object is none of these, or was read from a file and its tables need the arrays.
     RecordError
         When the place cannot be written; nothing half-written stays behind.
 
@@ -126,13 +120,14 @@ def write(
         _write_result(result, Path(path), recording)
 
 
-def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, recording: Recording | None) -> None:
+def _write_result(result: ResultFile, path: Path, recording: Recording | None) -> None:
     """Writer of results other than recordings; the package is loaded already, since the result came from it."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import write_diagnosis
     from ltsim.planning.result import Plan, write_plan
+    from ltsim.reports.schemas import TABLES
     from ltsim.simulation.truth import Truth, write_truth
 
     match result:
@@ -144,6 +139,10 @@ def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, re
             write_diagnosis(result, path, recording)
         case Plan():
             write_plan(result, path)
+        case ResultFile():
+            named = {table.file for table in TABLES.get(result.FILE, ())}
+            tables = [result.table(name) for name in result._tables()]
+            write_result(path, result, {table.file: table.csv() for table in tables if table.file in named})
         case _:
             raise ModelError(f"a {type(result).__name__} has no files; a recording, truth, calibration, ... has")
 

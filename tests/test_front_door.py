@@ -133,6 +133,29 @@ def test_results_are_written_as_their_commands_do(recording, tmp_path: Path):
         lt.write({}, tmp_path / "nothing")  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda recording: lt.check(recording),
+        lambda recording: lt.evaluate(recording, lt.calibrate(recording, advise=False)),
+        lambda recording: lt.history(2 * [lt.calibrate(recording, advise=False)]),
+        lambda recording: lt.adjust(recording),
+        lambda recording: lt.simulate("paper-workshop", seed=3).truth,
+        lambda recording: lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500", "trials": 1000}),
+    ],
+    ids=["check", "evaluate", "history", "adjust", "simulate", "accept"],
+)
+def test_a_result_is_read_as_the_class_and_with_the_content_that_was_written(make, recording, tmp_path: Path):
+    made = make(recording)
+    file = tmp_path / "written" / made.FILE
+    lt.write(made, file if made.FILE == "truth.json" else file.parent)
+    again = lt.read(file)
+    assert type(again) is type(made)
+    assert {**again.content(), "files": None} == {**made.content(), "files": None}
+    assert all((file.parent / name).is_file() for name in again.files)
+    assert again.table().header == made.table().header
+
+
 def test_a_campaign_that_is_no_file_needs_a_folder():
     with pytest.raises(SetupError, match="needs a folder"):
         lt.campaign({"format": "ltsim-campaign/1"})

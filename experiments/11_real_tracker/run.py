@@ -67,8 +67,8 @@ def course(out: Path) -> None:
     kept = {name: snooped(epoch(name, found))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
-        history = CalibrationSeries.of(own)
-        content = History.of(history).content()
+        history = History.of(CalibrationSeries.of(own))
+        content = history.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         if construction is SIX:  # sixteen courses are a table
             write_figure(out / f"history_{label}.svg", history.plot())

@@ -91,7 +91,8 @@ def run_campaign(
 
     `tables` stand for a file that is not there. `progress` is told the number of trials that were done.
     """
-    check_writable(folder, folder=True)
+    with as_setup_error():
+        check_writable(folder, folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = cells_of(campaign, scenarios, file)
     notes, store = _check(campaign, factors, cells, file), Store(folder)

@@ -134,6 +134,8 @@ def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -
 def test_the_held_out_error_is_printed_where_a_search_was_repeated(after: float) -> None:
     """Without a shift of the readings nothing is predicted anew: both errors are the same number."""
     before, modelled = Misfit(chi2=120.0, dof=80, held_out_rms=1.2), Misfit(chi2=80.0, dof=80, held_out_rms=after)
-    result = SimpleNamespace(verdict="mismatch", summary="", findings=(None,), before=before, after=modelled)
+    result = SimpleNamespace(
+        verdict="mismatch", summary="", findings=(None,), fit=SimpleNamespace(before=before, after=modelled)
+    )
     printed = "\n".join(Diagnosis._lines(result))
     assert ("held-out error" in printed) == (after != 1.2)

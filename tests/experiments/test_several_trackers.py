@@ -12,7 +12,7 @@ from tests.experiments.several_trackers import scenario_of
 def test_the_trackers_take_turns_and_every_setup_shares_reflectors() -> None:
     recording, truth = lt.simulate(scenario_of(setups=20), seed=1)
     assert recording.instruments == ("A", "B", "C", "D")
-    assert [t.stations[:2] for t in truth.trackers][:2] == [("S001", "S005"), ("S002", "S006")]
+    assert [t.stations[:2] for t in truth.instruments][:2] == [("S001", "S005"), ("S002", "S006")]
     assert truth.instrument["beam-tilt@C"] == pytest.approx(15e-6)
     assert np.bincount(recording.station).min() >= 6 and len(recording.notes) == 1
 

@@ -70,8 +70,9 @@ ERRORS = TableOf(
     "errors.csv",
     "errors before and after calibration, with 95 % intervals of their means",
     (
-        *texts(setting="cell", method="name", raw_um="uncorrected", calibrated_um="corrected"),
-        *texts(noise_floor_um="with the true parameters", share_removed="of the removable error"),
+        *texts(setting="cell", method="name"),
+        *numbers(raw_um="uncorrected", calibrated_um="corrected", noise_floor_um="with the true parameters"),
+        *numbers(share_removed="of the removable error"),
     ),
 )
 
