@@ -184,9 +184,10 @@ def recover(
     construction : str, optional
         Of ltsim's calibrator; by default that of the scenario.
     calibrator : callable or str, optional
-        One of your own, checked beside ltsim's: a command ``CMD {recording} {out}`` that reads a recording and writes
-        parameters as JSON; in Python also a function that takes a recording and gives value, sigma (or None) and unit
-        of each parameter by name. Effects are named ``head-sag:sag``. Three trials without a result end the run.
+        Another calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
+        recording and writes parameters as JSON; in Python also a function that takes a recording and gives value, sigma
+        (or None) and unit of each parameter by name. Effects are named ``head-sag:sag``. Three trials without a result
+        end the run.
     tolerance : mapping of str to str, optional
         Within which 95 % of a parameter's errors should lie, as `2 urad` for `beam-tilt`; only such parameters are
         checked then.

@@ -213,7 +213,7 @@ def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
     if len(workshop.obstacles):
         ax.add_collection(
             PolyCollection(
-                workshop.obstacles[:, :, :2],
+                list(workshop.obstacles[:, :, :2]),
                 facecolors="#B9A98C",
                 edgecolors="#B9A98C",
                 linewidths=0.3,
