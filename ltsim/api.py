@@ -75,6 +75,10 @@ def _read_result(file: Path) -> Any:
     kind = str(read_json(file, "result of ltsim").get("format", ""))
     if kind == Calibration.model_fields["format"].default:
         return read_calibration(file)
+    if kind.startswith("ltsim-campaign-rows/"):
+        from ltsim.campaigns.results import Results
+
+        return Results(file.parent)  # the rows beside the manifest
     model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)

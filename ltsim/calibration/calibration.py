@@ -258,6 +258,11 @@ class Calibration(UncertaintyEntry, ResultFile):
         applied = self.arrays.applied_values
         return self.values if self.correction is None or applied is None else applied
 
+    @property
+    def is_rejected(self) -> bool:
+        """True if the readings contradict the model: sigma0 is significantly above 1, and not by single readings."""
+        return self.uncertainty_factor > 1.0
+
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
@@ -277,8 +282,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
         if self.correction is not None and self.correction.uncorrected_um > 0:
-            promised = self.uncertainty_factor == 1.0
-            lines += [*([self.correction.line] if promised else []), *self.correction.sentences]
+            lines += [*([] if self.is_rejected else [self.correction.line]), *self.correction.sentences]
         return [*lines, *uncertainty_sentences(self), *self.notes, *self.warnings]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

@@ -6,7 +6,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.physics.model.construction import Construction, ideal
 from ltsim.physics.model.incidence import incidence_shift
@@ -15,7 +15,9 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
 
 
-def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
+def correct(
+    recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False, rejected: bool = False
+) -> Recording:
     """The recording that an ideal tracker would have made, by a calibration of the instrument.
 
     Readings are on the same face; the set-up of the result declares its instruments corrected. A row without a
@@ -28,12 +30,14 @@ def correct(recording: RecordingSource, calibration: CalibrationSource, *, again
     calibration : Calibration, str or Path
     again : bool
         Also correct readings that the set-up declares corrected.
+    rejected : bool
+        Also use a calibration whose readings contradict its model.
 
     Raises
     ------
     RecordError
-        When the calibration does not know the recording's instrument, the readings are corrected already, or a file is
-        malformed.
+        When the calibration does not know the recording's instrument, its readings contradict its model, the readings
+        are corrected already, or a file is malformed.
     NetworkError
         When rows lack a range or an angle and the network cannot be solved.
 
@@ -48,6 +52,12 @@ def correct(recording: RecordingSource, calibration: CalibrationSource, *, again
     source, corrections = recording_of(recording), calibration_of(calibration)
     if not again and any(source.instrument_of(name).corrected for name in source.stations):
         raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
+    if corrections.is_rejected and corrections.names and not rejected:
+        raise RecordError(
+            f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
+            "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
+            f"without that cause, or give {option('rejected=True')} to use it nevertheless"
+        )
     values = corrections.values_for(source)
     without = source.with_readings(source.readings - incidence_change(source, corrections))
     readings = corrected_readings(without, corrections.construction, values)

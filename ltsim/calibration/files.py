@@ -93,7 +93,8 @@ def _rejected(content: Calibration, file: Path) -> tuple[str, ...]:
         return ()
     return (
         f"{file}: the readings of this calibration contradict its model (sigma0 = {content.uncertainty_factor:.3g}); "
-        "another cause may be in its parameters: run ltsim diagnose on its recording before you use them",
+        "another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again without that "
+        "cause",
     )
 
 

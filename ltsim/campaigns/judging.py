@@ -133,6 +133,7 @@ def judge(
         named if applied else {name: calibration.with_changes(correction=None) for name, calibration in named.items()}
     )
     corrected = {
-        name: measured_points(correct(recording, calibration, again=True)) for name, calibration in taken.items()
+        name: measured_points(correct(recording, calibration, again=True, rejected=True))
+        for name, calibration in taken.items()
     }
     return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})

@@ -75,7 +75,8 @@ def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> P
         (mean, scatter), (less, less_scatter) = (_linear(v[1][:, keep]) for v, keep in zip(values, both, strict=True))
         count, gap = len(scatter), mean - less
         half = results.half(count, float(np.std(scatter - less_scatter, ddof=1))) if count > 1 else math.inf
-        named = str(first), str(second), statistic, results.units.get(statistic, "")
+        this_name, other_name = (str(k) if along == "method" else f"{along} {k}" for k in (first, second))
+        named = this_name, other_name, statistic, results.units.get(statistic, "")
         differences.append(Difference(common, *named, count, gap, gap - half, gap + half))
     return Paired(tuple(differences))
 

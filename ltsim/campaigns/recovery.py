@@ -146,13 +146,13 @@ class Recovery(ResultFile):
         """Sentences about all that keeps the run from passing, and about parameters that are not checked."""
         sentences = [check.sentence() for check in self.failures()]
         if self.problem and self.converged < self.trials:
-            sentences.insert(1, self.problem)
+            sentences.insert(0, self.problem)
         if unchecked := self.unchecked:
             example = f"{option('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
             sentences.append(
-                f"{', '.join(unchecked)} {'is' if len(unchecked) == 1 else 'are'} not checked: the calibrator declares "
-                f"no sigma in every trial; declare one, or give a tolerance such as {example}, "
-                f"or take {option('allow_unchecked=True')}"
+                f"{', '.join(unchecked)} {'is' if len(unchecked) == 1 else 'are'} not checked: the calibrator does "
+                f"not declare the standard deviation in every trial; let it declare one, or give a tolerance such as "
+                f"{example}, or {option('allow_unchecked=True')}"
             )
         return sentences
 
@@ -184,9 +184,10 @@ def recover(
     construction : str, optional
         Of ltsim's calibrator; by default that of the scenario.
     calibrator : callable or str, optional
-        One of your own, checked beside ltsim's: a command ``CMD {recording} {out}`` that reads a recording and writes
-        parameters as JSON; in Python also a function that takes a recording and gives value, sigma (or None) and unit
-        of each parameter by name. Effects are named ``head-sag:sag``. Three trials without a result end the run.
+        Another calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
+        recording and writes parameters as JSON; in Python also a function that takes a recording and gives value, sigma
+        (or None) and unit of each parameter by name. Effects are named ``head-sag:sag``. Three trials without a result
+        end the run.
     tolerance : mapping of str to str, optional
         Within which 95 % of a parameter's errors should lie, as `2 urad` for `beam-tilt`; only such parameters are
         checked then.

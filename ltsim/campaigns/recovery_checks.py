@@ -56,8 +56,8 @@ class RecoveryCheck(Entry):
 
     def sentence(self) -> str:
         """The value and its limits, as a sentence."""
-        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
-        return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
+        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
+        return f"{self.what} {verdict}: {self.statistic} = {value} (allowed {self.low:.4g} to {self.high:.4g})"
 
 
 CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
@@ -104,7 +104,7 @@ def recovery_checks(
     >>> import ltsim as lt
     >>> (check,) = lt.recovery_checks([[1.9], [2.2]], None, [[2.0], [2.0]], names=["a"], tolerance={"a": 0.5})
     >>> check.sentence()
-    'a passes: share of errors within 0.5 1.000, allowed 0.950 to 1.000'
+    'a passes: share of errors within 0.5 = 1 (allowed 0.95 to 1)'
     """
     estimate, truth = np.atleast_2d(estimate), np.atleast_2d(truth)
     called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)

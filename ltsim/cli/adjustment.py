@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LEAST_SHOWN = 0.005
 """[um, arcsec] Change of readings from which a correction is reported as one: half of its last digit."""
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
+Rejected = Annotated[
+    bool, typer.Option("--rejected", help="Also use a calibration whose readings contradict its model.")
+]
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
 ]
@@ -66,23 +69,26 @@ def correct(
     out: Corrected,
     *,
     reading: FramedReading,
+    rejected: Rejected = False,
     force: Force = False,
     terminal: Terminal,
 ) -> None:
     """Remove the instrument's errors from a recording, by a calibration.
 
-    Readings stay in the axes of each set-up; --frame sets the axes of later results.
+    Readings stay in the axes of each set-up; --frame sets the axes of later results. A calibration whose readings
+    contradict its model is refused.
 
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """
     import numpy as np
 
+    from ltsim.calibration.files import read_calibration
     from ltsim.geometry.polar import wrap
     from ltsim.physics.effects import title_of
 
-    recording = reading.of(source)
-    terminal.notes(recording.notes)
-    instrument = calibration_of(terminal, calibration)
+    recording, instrument = reading.of(source), read_calibration(calibration)
+    corrected = lt.correct(recording, instrument, again=force, rejected=rejected)
+    terminal.notes((*recording.notes, *instrument.warnings))
     if not instrument.names:
         terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
@@ -90,7 +96,6 @@ def correct(
         terminal.notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
     if instrument.correction is not None:
         terminal.notes(instrument.correction.sentences)
-    corrected = lt.correct(recording, instrument, again=force)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings
     change[:, 1:] = wrap(change[:, 1:])

@@ -163,7 +163,8 @@ def recover(
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(result.content())
-    terminal.say(result.table("parameters").text() if result.converged > 1 else "fewer than two trials converged")
+    if result.converged > 1:
+        terminal.say(result.table("parameters").text())
     for sentence in result.problems():
         streams.write(sentence, sys.stderr)
     if not result.passed:

@@ -14,11 +14,13 @@ from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table
+from ltsim.core.units import MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.diagnosis.schema import (
     DETECTABLE,
     FINDINGS,
     FIT,
+    TARGETS,
     UNDETECTABLE,
     BeforeAfter,
     DetectableEntry,
@@ -125,12 +127,21 @@ class Diagnosis(ResultFile):
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "findings": self._findings,
+            "targets": self._coordinates,
             "fit": self._fit,
             "undetectable": lambda: UNDETECTABLE.filled(self.undetectable),
             "detectable": lambda: DETECTABLE.filled(self.detectable),
             "residuals": lambda: residuals_table(self.adjusted),
             "residuals_before": lambda: residuals_table(self.baseline),
         }
+
+    def _coordinates(self) -> Table:
+        """Table of the targets, with the change of each coordinate against the ordinary adjustment."""
+        sigma = np.sqrt(np.einsum("tii->ti", self.targets.covariance))
+        change = self.targets.points - self.baseline.state.points
+        rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
+        named = zip(self.adjusted.recording.targets, rows, strict=True)
+        return TARGETS.filled([name, *row] for name, row in named)
 
     def _fit(self) -> Table:
         both = () if self.fit is None else (("without the findings", self.fit.before), ("with them", self.fit.after))

@@ -2,12 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from ltsim.adjustment.joint import COVARIANCE, covariance_csv
 from ltsim.adjustment.unmodelled import joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS
-from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS
 from ltsim.recordings.native import OBSERVATIONS, SETUP, recording_texts
@@ -38,7 +35,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         When the folder cannot be written.
     """
     texts = {
-        TARGETS.file: targets_csv(diagnosis),
+        TARGETS.file: diagnosis.table("targets").csv(),
         RESIDUALS.file: diagnosis.table("residuals").csv(),
         BEFORE.file: diagnosis.table("residuals_before").csv(),
     }
@@ -49,13 +46,3 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         copied = recording_texts(recording, folder / RECORDING)
         texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}
     return write_result(folder, diagnosis, texts)
-
-
-def targets_csv(diagnosis: Diagnosis) -> str:
-    """The content of `targets.csv`, with the change of each coordinate against the ordinary adjustment."""
-    targets = diagnosis.targets
-    sigma = np.sqrt(np.einsum("tii->ti", targets.covariance))
-    change = targets.points - diagnosis.baseline.state.points
-    rows = np.concatenate([targets.points, sigma, change], axis=1) / MILLIMETRE
-    named = zip(diagnosis.adjusted.recording.targets, rows, strict=True)
-    return TARGETS.filled([name, *row] for name, row in named).csv()

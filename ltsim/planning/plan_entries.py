@@ -11,7 +11,7 @@ from ltsim.calibration.combinations import Combination
 from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning.objective import TARGETS
 from ltsim.planning.plan_change import in_degrees, in_millimetres
-from ltsim.planning.tolerances import ToleranceCheck, keeps
+from ltsim.planning.tolerances import ToleranceCheck, keeps, percent
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
@@ -282,6 +282,13 @@ class LossEntry(Entry):
     def of(cls, check: ToleranceCheck) -> Self:
         """The tolerances after a loss."""
         return cls(lost=check.lost, met=check.good, ratio=check.ratio, worst=check.worst, unseen=check.unseen)
+
+    @property
+    def used(self) -> str:
+        """The ratio in percent; a word where the network determines no point; empty where a point is not visible."""
+        if self.ratio is not None:
+            return percent(self.ratio)
+        return "" if self.unseen else "not determined"
 
 
 class DetectableSize(Entry):

@@ -154,7 +154,7 @@ class Plan(ResultFile, LayoutEntry):
 
     def _losses(self) -> Table:
         return tables.LOSSES.filled(
-            [loss.lost, loss.met, loss.worst, "" if loss.ratio is None else percent(loss.ratio), " ".join(loss.unseen)]
+            [loss.lost, loss.met, loss.worst, loss.used, " ".join(loss.unseen)]
             for loss in sorted(self.losses, key=lambda loss: loss.met)
         )
 

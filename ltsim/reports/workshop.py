@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.remedies.remedy import FloorPlan
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.core.values import ValueEquality
@@ -53,7 +53,7 @@ class PlacedWorkshop(ValueEquality):
     targets: tuple[str, ...]
     points: Floats
     nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Normals of the nests; NaN for a reflector that is turned by hand, (T, 3)."""
+    """Normals of the fixed nests; NaN for a reflector that is turned toward each station, (T, 3)."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """Outline, (k, 2)."""
     floor_height: float = 0.0
@@ -166,7 +166,7 @@ def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
         position=position,
         rotation=turn @ network.rotation,
         points=points,
-        nest_normal=normal,
+        nest_normal=np.where(_reaimed(setup, network.targets)[:, None], np.nan, normal),
         floor=floor,
         floor_height=height,
         walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
@@ -182,6 +182,11 @@ def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
+    """True (T,) for reflectors that are turned toward the station before each pointing: their incidence is zero."""
+    return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 
 def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:

@@ -9,6 +9,8 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.joint import COVARIANCE
+from ltsim.core.errors import RecordError
+from ltsim.core.randomness import stream
 from ltsim.recordings.coordinates import read_coordinates
 
 PLAN = """
@@ -118,3 +120,13 @@ def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plai
     again = lt.adjust(corrected)
     assert again.with_constants is None
     assert again.constants_included
+
+
+def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt.Recording, tmp_path: Path) -> None:
+    noise = stream(11, "rejected").standard_normal(plain.readings.shape) * 3.0 * plain.sigma()
+    calibration = lt.calibrate(plain.with_readings(plain.readings + noise), advise=False)
+    lt.write(calibration, tmp_path)
+    for source in (calibration, tmp_path):
+        with pytest.raises(RecordError, match=r"contradict its model \(sigma0 = .*give rejected=True to use it"):
+            lt.correct(plain, source)
+        assert lt.correct(plain, source, rejected=True).is_corrected

@@ -92,6 +92,7 @@ def test_a_statistic_of_a_function_has_the_interval_of_its_trials(sweep: Any) ->
 
 
 def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
+    assert lt.read(sweep.folder) == sweep
     with pytest.raises(SetupError, match=r"only opened: to run it, give .*campaign\.toml"):
         lt.campaign(sweep.folder, changes={"trials": 3})
     with pytest.raises(SetupError, match=r"^the campaign: unknown key trialz; did you mean trials"):

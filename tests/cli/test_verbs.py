@@ -201,6 +201,12 @@ def test_the_installed_command_leaves_no_traceback(workplace: Path) -> None:
     assert cut.stderr == ""
 
 
+def test_the_package_is_run_as_a_module() -> None:
+    command = [sys.executable, "-m", "ltsim", "calibrate", "nowhere"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "error: nowhere: there is no such file or folder\n")
+
+
 HEAVY = {"numba", "pyvista", "matplotlib", "scipy", "duckdb", "pyarrow", "joblib", "trimesh", "jinja2", "pandas"}
 NUMERIC = ("convert", "effects")  # verbs whose help lists what the rooms hold
 

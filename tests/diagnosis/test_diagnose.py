@@ -324,6 +324,7 @@ def test_the_files_say_what_the_diagnosis_says(tmp_path):
     lines = (tmp_path / "targets.csv").read_text().splitlines()
     assert len(lines) == 1 + len(recording.targets)
     assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")
+    assert found.to_dataframe("targets")["target"].tolist() == list(recording.targets)
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,9 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     assert (
         silent.verdict() == "1 of 2 parameters are recovered within its stated uncertainty, the others are not checked"
     )
-    assert silent.problems()[-1].startswith("beam-tilt is not checked: the calibrator declares no sigma in every trial")
+    assert silent.problems()[-1].startswith(
+        "beam-tilt is not checked: the calibrator does not declare the standard deviation in every trial"
+    )
     assert "allow_unchecked=True" in silent.problems()[-1] and "recovered within" not in repr(silent).splitlines()[1]
     assert lt.recover(SCENE, trials=3, seed=2, calibrator=constant(8.0, None), allow_unchecked=True).passed
     judged = lt.recover(SCENE, trials=3, calibrator=constant(1000.0, None), tolerance={"beam-tilt": "2 urad"})
@@ -177,8 +179,8 @@ def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -
     command = f"{sys.executable} {program} {{recording}} {{out}}"
     found = lt.recover(SCENE, trials=40, calibrator=command, jobs=jobs)
     assert found.trials == 3 and not found.passed
-    assert found.problems()[1].startswith("the run ended after 3 failures of the calibrator: '")
-    assert "status 1 for trial 2; its last line was: RuntimeError: license server not reachable" in found.problems()[1]
+    assert found.problems()[0].startswith("the run ended after 3 failures of the calibrator: '")
+    assert "status 1 for trial 2; its last line was: RuntimeError: license server not reachable" in found.problems()[0]
     assert lt.recover(SCENE, trials=5, calibrator=lambda recording: None).trials == 3
 
 

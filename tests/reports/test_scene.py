@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from ltsim.core.randomness import stream
 from ltsim.reports import scene3d, workshop
 from ltsim.reports.document import POLICY
-from ltsim.reports.figures.floor_plan import floor_plan
+from ltsim.reports.figures.floor_plan import FEW_TRIANGLES, floor_plan
 from ltsim.reports.scene_page import scene_page
+from ltsim.reports.style import svg
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import Obstacle
 from tests.reports import samples
@@ -129,3 +131,11 @@ def test_obstacle_hides_and_is_drawn() -> None:
     bounds = plotter.actors["obstacles"].bounds
     assert bounds == pytest.approx((0.9, 2.1, 1.1, 1.9, 0.0, 2.6))
     plotter.close()
+
+
+def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> None:
+    """As vectors 200,000 triangles made a page of 45 MB, in 30 s."""
+    few = workshop.from_scenario(load_scenario("paper-workshop"))
+    body = stream(3, "bodies").uniform(0.0, 3.0, (FEW_TRIANGLES + 1, 3, 3))
+    sizes = [len(svg(floor_plan(replace(few, obstacles=body[:count])))) for count in (1, FEW_TRIANGLES + 1)]
+    assert sizes[1] - sizes[0] < 100_000

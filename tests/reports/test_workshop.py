@@ -46,13 +46,21 @@ def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop.PlacedWorksh
 
 
 def test_incidence_is_measured_on_the_walls(scene: workshop.PlacedWorkshop) -> None:
-    sights = scene.coloured("incidence").sights
+    made = samples.recording()
+    fixed = {name: one.model_copy(update={"reaimed": False}) for name, one in made.setup.targets.items()}
+    walls = workshop.with_surroundings(scene, made.setup.model_copy(update={"targets": fixed}))
+    sights = walls.coloured("incidence").sights
     assert sights is not None
     first = (sights.station == 0) & (sights.target == 0)
     beam = STATIONS[0] - mesh()[0]
     expected = np.degrees(np.arccos(beam[0] / np.linalg.norm(beam)))
     assert sights.value[first] == pytest.approx(expected, abs=0.1)
     assert sights.value.max() < 90.0
+
+
+def test_reflectors_that_are_re_aimed_have_no_incidence(scene: workshop.PlacedWorkshop) -> None:
+    assert scene.incidence() is None
+    assert scene.coloured("incidence").sights is scene.sights
 
 
 def test_corrections_are_the_change_by_calibration(scene: workshop.PlacedWorkshop) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.layout_scenario import PLAN, SCENARIO, with_cad_copied, with_layout
 from ltsim.planning.planner import sight_table
 from ltsim.planning.result import opened
-from ltsim.planning.site import TOUCH, SearchSpace, words_of
+from ltsim.planning.site import FEWEST, TOUCH, SearchSpace, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Tolerances, judged, keeps, losses_of, percent, radius, verdict
@@ -28,6 +29,7 @@ from ltsim.recordings.settings import to_toml
 from ltsim.reports.scene3d import Camera
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.workshop import from_scenario
+from ltsim.scene.floor import grid_step
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import Reason, shadow_radius
 from ltsim.simulation.physics import planned_construction
@@ -39,6 +41,8 @@ FEWEST_STATIONS, MOST_STATIONS = 2, 40
 """Smallest and largest number of stations of a layout, as of a plan file."""
 NAME = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
+MOST_PLACES = 200
+"""Largest number of places of a grid at which a further station is offered."""
 FAR = 1e6
 """Largest coordinate [mm] of a station."""
 
@@ -92,7 +96,16 @@ class Board:
                  "yaw": round(float(yaw) / DEGREE % 360, 2)}
                 for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
             ],
+            "places": np.round(self._places / MILLIMETRE, 1).tolist(),
         }  # fmt: skip
+
+    @cached_property
+    def _places(self) -> Floats:
+        """Places (P, 3) [m] where a further station may stand and see targets enough, `MOST_PLACES` of them."""
+        search = self.file.search
+        places = self.site.places(grid_step(self.site.areas, search.grid_mm), search.heights)
+        places = places[:: max(1, -(-len(places) // MOST_PLACES))]
+        return places[self.site.visible(places).sum(axis=1) >= FEWEST] if len(places) else places
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
         """Survey with the given stations: `name`, `mm` (3) and `yaw` [deg] of each; raises SetupError.

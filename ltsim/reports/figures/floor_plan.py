@@ -72,6 +72,8 @@ LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.
 MOST_LABELS = 60
 FEW_DOTS = 150
 """Number of targets above which their marks are rasterised."""
+FEW_TRIANGLES = 2_000
+"""Number of triangles of obstacles above which they are rasterised: as vectors each takes 200 bytes of a page."""
 MOST_PLACES, MOST_STACKED = 16, 4
 NEAR = 0.05
 """Distance within which targets share a label, over the size of the floor."""
@@ -211,7 +213,11 @@ def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
     if len(workshop.obstacles):
         ax.add_collection(
             PolyCollection(
-                list(workshop.obstacles[:, :, :2]), facecolors="#B9A98C", edgecolors="#B9A98C", linewidths=0.3
+                list(workshop.obstacles[:, :, :2]),
+                facecolors="#B9A98C",
+                edgecolors="#B9A98C",
+                linewidths=0.3,
+                rasterized=len(workshop.obstacles) > FEW_TRIANGLES,
             ),
             autolim=False,
         )

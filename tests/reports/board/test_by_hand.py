@@ -194,7 +194,7 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
         assert address.startswith("http://127.0.0.1:")
         with opened(address, tmp_path) as tab:
             tab.until("evaluation && evaluation.points")
-            before = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm")
+            before = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm"), tab.value("stations")
             x, y = tab.middle("[data-station=S1] .head")
             tab.drag((x, y), (x + 60, y + 8))
             tab.until(f"!busy && {SIGMA} != '{before[1]}'")
@@ -210,12 +210,17 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             assert tab.value("document.querySelector('#verdict').className") in ("reached", "lost")
             tab.value("document.querySelector('#add').click()")
             tab.until("!busy && evaluation.reasons.length === 4 && stations.length === 4")
+            assert "S4" not in tab.value("evaluation.problem")
             tab.value("document.querySelector('[aria-label=\"Remove S4\"]').click()")
             tab.until("!busy && evaluation.reasons.length === 3")
             assert tab.value("layer.tripods.childElementCount") == 3
             tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
             tab.value("document.querySelector('#save').click()")
             assert "plan.toml" in tab.until("document.querySelector('#saved').textContent")
+            saved = tab.value("stations")
+            tab.value("document.querySelector('#back').click()")
+            tab.until("!busy && document.querySelector('#saved').textContent === ''")
+            assert tab.value("stations") == before[3] != saved
             assert tab.value(COVERED) == []
             assert not [line for line in tab.said if "hashes" not in line and '"rendering"' not in line]
         _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
