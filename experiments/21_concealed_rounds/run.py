@@ -11,7 +11,6 @@ from pathlib import Path
 from experiments.common import ROOT, Made, Options
 from ltsim.core.parallel import parallel
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.files import targets_csv
 from ltsim.recordings import read
 from ltsim.recordings.files import write_text, write_texts
 
@@ -28,7 +27,7 @@ def examine(folder: Path, out: Path) -> None:
     """Diagnose one recording with default settings, and write it down."""
     found = diagnose(read(folder))
     diagnosis = json.dumps(found.content(), allow_nan=False) + "\n"
-    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": targets_csv(found)})
+    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": found.table("targets").csv()})
 
 
 def recordings_of(name: str) -> list[Path]:

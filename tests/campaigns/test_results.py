@@ -20,7 +20,8 @@ from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.notation import number
 from ltsim.reports.document import Grid
 from ltsim.reports.figures.campaign import swept
-from ltsim.reports.sections.campaign import campaign_section, cell_words
+from ltsim.reports.figures.campaign_factors import cell_words
+from ltsim.reports.sections.campaign import campaign_section
 from tests.families import family
 
 SWEEP = {

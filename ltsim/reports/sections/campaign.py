@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of, errors_of
 from ltsim.campaigns.statistics import Checked, Scores, Spread
@@ -20,19 +18,14 @@ from ltsim.core.results import Table as TableOf, numbers, texts
 from ltsim.reports.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
 from ltsim.reports.figures.campaign import (
     ALLOWED,
-    MOST_LINES,
-    MOST_PANELS,
     PAPER,
-    SweepPoint,
     TrialDistribution,
-    by_factor,
-    by_setting,
     coverage,
     distributions,
-    short,
     title,
     uncovered,
 )
+from ltsim.reports.figures.campaign_factors import cell_words, drawn, level_column, varied
 from ltsim.reports.words import count, of_presets, sentence
 from ltsim.simulation.keys import meaning_of
 
@@ -185,7 +178,7 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Gr
     if len(results.levels) <= MOST_ROWS:
         return []
     groups: dict[tuple[str, ...], list[float]] = {}
-    for factor in sorted(varied(results), key=lambda f: len(set(_column(results, f)))):
+    for factor in sorted(varied(results), key=lambda f: len(set(level_column(results, f)))):
         for name in filter(spreads.get, LABELS):
             for s in spreads[name]:
                 key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
@@ -316,92 +309,3 @@ def _settings(results: Results, table: TableOf) -> TableOf:
     given = {f.name for f in results.factors}
     columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)
     return replace(table, columns=tuple(columns))
-
-
-def varied(results: Results) -> list[Factor]:
-    """Factors that vary, without those that change together with an earlier one."""
-    independent: list[Factor] = []
-    for factor in results.factors:
-        values = _column(results, factor)
-        if len(set(values)) > 1 and not any(_is_bijection(values, _column(results, other)) for other in independent):
-            independent.append(factor)
-    return independent
-
-
-def cell_words(results: Results) -> dict[int, str]:
-    """Short description of each cell, by its number."""
-    factors = varied(results)
-    texts = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
-    plain = "as the scenario" if len(texts) == 1 else ""
-    return {
-        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, texts, strict=True)
-    }
-
-
-def _column(results: Results, factor: Factor) -> list[Any]:
-    return [level[factor.name] for level in results.levels]
-
-
-def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
-    """True if the values of two columns correspond one to one."""
-    pairs = len(set(zip(first, second, strict=True)))
-    return pairs == len(set(first)) == len(set(second))
-
-
-def drawn(
-    results: Results, spreads: Sequence[Spread], label: str, published: float | None
-) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Captions and figures of a statistic.
-
-    Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
-    """
-    factors, several = varied(results), f"{results.manifest.trials} trials per setting."
-    how: dict[str, Any] = {"label": label, "published": published}
-    cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
-    of_grid = cells == len(results.levels) == math.prod(len(set(_column(results, f))) for f in factors)
-    if factors and results.manifest.settings.get("design"):
-        places = [(f, _place(f, results.levels[s.cell]), s) for f in factors for s in spreads]
-        rows = [_swept(s, place, s.method, title(factor)) for factor, place, s in places]
-        figure = partial(by_factor, rows, axis="", joined=False, **how)
-        yield f"Each mark is one setting, against each factor. {several}", figure
-    elif factors and of_grid and cells > 2:
-        axis, rows = _lines(results, factors, spreads)
-        names = list(dict.fromkeys(row.panel for row in rows))
-        for first in range(0, len(names), MOST_PANELS):
-            shown = names[first : first + MOST_PANELS]
-            part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
-            yield several + part, partial(by_factor, [row for row in rows if row.panel in shown], axis=axis, **how)
-    else:
-        named = cell_words(results)
-        yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
-
-
-def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[SweepPoint]]:
-    """Title of the axis, and points of lines over one factor."""
-    along, across, panels = arranged(results, factors)
-    rows = []
-    for s in spreads:
-        level = results.levels[s.cell]
-        line = short(across, level[across.name]) if across else s.method
-        rows.append(_swept(s, _place(along, level), line, ", ".join(short(f, level[f.name]) for f in panels)))
-    return title(along), rows
-
-
-def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
-    """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
-    levels = {f.name: len(set(_column(results, f))) for f in factors}
-    along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
-    rest = [f for f in factors if f is not along]
-    if len(results.manifest.methods) > 1 or not rest:
-        return along, None, rest
-    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MOST_LINES else 0)
-    return along, across, [f for f in rest if f is not across]
-
-
-def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
-    value = level[factor.name]
-    return float(value) if factor.kind in ("number", "integer") and value is not None else factor.words(value)
-
-
-def _swept(s: Spread, x: float | str, line: str, panel: str) -> SweepPoint:
-    return SweepPoint(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
