@@ -194,6 +194,30 @@ class CellEntry(Entry):
     """Digest of all that decides its rows; each of its shards says it too."""
 
 
+VARIED = Table(
+    "varied.csv",
+    "settings that differ between cells",
+    texts(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
+)
+MEANS_BY_LEVEL = Table(
+    "levels.csv",
+    "means over the cells of each level",
+    (
+        *texts(factor="its title", level="its value", method="name", statistic="name"),
+        *numbers(mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"),
+    ),
+)
+ERRORS = Table(
+    "errors.csv",
+    "errors before and after calibration, with 95 % intervals of their means",
+    (
+        *texts(setting="cell", method="name"),
+        *numbers(raw_um="uncorrected", calibrated_um="corrected", noise_floor_um="with the true parameters"),
+        *numbers(share_removed="of the removable error"),
+    ),
+)
+
+
 class ManifestFile(ResultFile):
     """`manifest.json`: what a campaign is, written before its first row and where the campaign grows."""
 

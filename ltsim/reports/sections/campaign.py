@@ -11,10 +11,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from ltsim.campaigns.results import Results
-from ltsim.campaigns.schema import SHARES, ManifestFile, column_of, errors_of
+from ltsim.campaigns.schema import ERRORS, MEANS_BY_LEVEL, SHARES, VARIED, ManifestFile, column_of, errors_of
 from ltsim.campaigns.statistics import Checked, Scores, Spread
 from ltsim.core.notation import number
-from ltsim.core.results import Table as TableOf, numbers, texts
+from ltsim.core.results import Table as TableOf
 from ltsim.reports.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
 from ltsim.reports.figures.campaign import (
     ALLOWED,
@@ -44,29 +44,6 @@ LABELS = MappingProxyType(
         "share_removed": "share of the correctable error removed",
         "target_error_um": "error of the targets [µm]",
     }
-)
-
-VARIED = TableOf(
-    "varied.csv",
-    "settings that differ between cells",
-    texts(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
-)
-LEVELS = TableOf(
-    "levels.csv",
-    "means over the cells of each level",
-    (
-        *texts(factor="its title", level="its value", method="name", statistic="name"),
-        *numbers(mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"),
-    ),
-)
-ERRORS = TableOf(
-    "errors.csv",
-    "errors before and after calibration, with 95 % intervals of their means",
-    (
-        *texts(setting="cell", method="name"),
-        *numbers(raw_um="uncorrected", calibrated_um="corrected", noise_floor_um="with the true parameters"),
-        *numbers(share_removed="of the removable error"),
-    ),
 )
 
 
@@ -184,7 +161,7 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Gr
                 key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
                 groups.setdefault(key, []).append(s.mean)
     rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in groups.items()]
-    return table_block("Means over the settings of a level", LEVELS.filled(rows))
+    return table_block("Means over the settings of a level", MEANS_BY_LEVEL.filled(rows))
 
 
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
