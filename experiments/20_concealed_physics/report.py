@@ -123,10 +123,16 @@ def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]
     compare_with_calibrate(rows)
     columns = ["entrant", *dict.fromkeys(key for own in rows.values() for r in own for key in r)]
     lines = [[name, *(r.get(key) for key in columns[1:])] for name, own in rows.items() for r in own]
-    (out / ROWS).write_text("".join(json.dumps(_short(line)) + "\n" for line in [columns, *lines]), encoding="utf-8")
+    texts = (json.dumps(_short(_without_nulls_behind(line)), separators=(",", ":")) for line in [columns, *lines])
+    (out / ROWS).write_text("".join(text + "\n" for text in texts), encoding="utf-8")
     summaries = (before["entrants"] if same else {}) | {name: summarise(own) for name, own in entrants.items()}
     scores.write_text(json.dumps(_short(head | {"entrants": summaries}), indent=1) + "\n", encoding="utf-8")
     (out / "table.md").write_text(table(summaries, head), encoding="utf-8")
+
+
+def _without_nulls_behind(line: list[Any]) -> list[Any]:
+    """The row up to its last value."""
+    return line[: max((i + 1 for i, value in enumerate(line) if value is not None), default=0)]
 
 
 def _short(content: Any) -> Any:
@@ -135,11 +141,11 @@ def _short(content: Any) -> Any:
 
 
 def read_rows(file: Path) -> dict[str, list[Row]]:
-    """Rows by entrant of a file that names its columns first; what a row lacks is null there."""
+    """Rows by entrant of a file that names its columns first; what a row lacks is null there, or left out behind."""
     found: dict[str, list[Row]] = {}
     columns, *lines = map(json.loads, file.read_text(encoding="utf-8").splitlines()) if file.is_file() else [[]]
     for line in lines:
-        row = {key: value for key, value in zip(columns, line, strict=True) if value is not None}
+        row = {key: value for key, value in zip(columns, line, strict=False) if value is not None}
         found.setdefault(row.pop("entrant"), []).append(row)
     return found
 

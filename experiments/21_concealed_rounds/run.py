@@ -1,6 +1,6 @@
 """Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
 
-python -m experiments 21 [round-1] [round-2]    diagnosed today, both against the truth; round-3 once its truth is open
+python -m experiments 21 [round-1] [round-2] [round-3]    diagnosed today, all against the truth; round-4 once its truth is open
 """
 
 import json
@@ -20,7 +20,7 @@ SHARED = ROOT.parent / "shared" / "concealed"
 COMMITTED = ROOT / "results" / "concealed"
 """What was told while the truth was sealed; never written again."""
 TODAY = ROOT / "build" / "concealed-rounds"
-ROUNDS = ("round-1", "round-2", "round-3")
+ROUNDS = ("round-1", "round-2", "round-3", "round-4")
 
 
 def examine(folder: Path, out: Path) -> None:
@@ -38,7 +38,7 @@ def recordings_of(name: str) -> list[Path]:
 
 def run(given: Options) -> Made:
     """Diagnose rounds with an open truth today, and score both."""
-    for name in given.words or ROUNDS[:2]:
+    for name in given.words or ROUNDS[:3]:
         if name not in ROUNDS:
             sys.exit(f"there is no round '{name}'; there are {', '.join(ROUNDS)}")
         folders = recordings_of(name)
