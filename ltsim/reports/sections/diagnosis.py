@@ -202,7 +202,9 @@ def _finding(
     sizes = [p.model_copy(update={"name": parameter_words(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place(finding.where)}",
-        f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
+        "no network fits the readings without it"
+        if evidence.chi2_drop >= LARGEST_GAIN
+        else f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",
         *(f"alternative: {effect_words(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
