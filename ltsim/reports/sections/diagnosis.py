@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ltsim.adjustment.identification.selection import LARGEST_GAIN
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.errors import LtsimError
 from ltsim.core.notation import NONE, number, with_sigma
