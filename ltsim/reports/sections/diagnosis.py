@@ -135,7 +135,10 @@ def _inspection(finding: Finding) -> str:
     trackers = [f"instrument {name}" for name in where.instruments]
     place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
     if _swapped(finding):
-        return f"Exchange the names {listing(where.targets)} at {listing(where.stations)}."
+        names = listing(where.targets)
+        if not where.stations:
+            return f"Exchange the reference coordinates of {names} in setup.toml."
+        return f"Exchange the names {names} at {listing(where.stations)}."
     if finding.effect == "noise-level":
         return "Set the noise in setup.toml to the estimated values."
     if finding.carrier.startswith("reference"):
