@@ -29,7 +29,7 @@ AMONG_MISFIT = 30.0
 
 A misfit of the model varies smoothly, so that its readings count several times: a tenth of this is what they tell.
 """
-LARGEST_GAIN = 1e300
+LARGEST_GAIN = 1e30
 """Log evidence in place of an infinite one: of a hypothesis without which there is no network."""
 MOST = 8
 """Hypotheses that are chosen at most: a network with more simple causes is measured again."""

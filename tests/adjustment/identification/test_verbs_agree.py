@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,3 +134,11 @@ def test_every_verb_names_a_simple_cause_first_at_its_place(
     checked = lt.check(recording)
     assert not checked.passed
     assert all(name in checked.sentence for names in place for name in names)
+
+
+def test_a_cause_without_which_no_network_fits_is_written_and_read(tmp_path: Path) -> None:
+    recording, (_, targets) = exchanged_reference_points(0.0)
+    folder = tmp_path / "adjusted"
+    lt.write(lt.adjust(recording), folder)
+    first = lt.read(folder).tests[0]
+    assert (first.kind, first.acts_on, first.where.targets) == ("names", "point", targets)
