@@ -91,6 +91,11 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     parts = range(0, len(triangles), BLOCK)
     corners = np.concatenate([_on_grid(factor * triangles[start : start + BLOCK], up) for start in parts])
     del triangles  # each array of a large file takes a tenth of the memory
+    if not len(corners):
+        raise SetupError(
+            f"{path}: has no triangle larger than {1e6 / PER_METRE:g} um if a unit of it is {factor:g} m; state its "
+            "unit, or export it anew"
+        )
     settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / PER_METRE
     settled.flags.writeable = False
     return settled

@@ -241,3 +241,11 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
     near.apply_translation((2.7e5, 5.3e5, 4.7e3))
     near.export(tmp_path / "near.stl")
     assert np.ptp(read_mesh(tmp_path / "near.stl").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6], abs=1e-4)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".glb"])
+def test_a_body_that_vanishes_on_the_grid_is_one_sentence(suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / f"body{suffix}"
+    trimesh.creation.box(extents=(1e-9, 1e-9, 1e-9)).export(file)
+    with pytest.raises(SetupError, match=r"body\.\w+: has no triangle larger than 10 um"):
+        read_mesh(file)
