@@ -388,10 +388,10 @@ class NetworkInitialiser:
             if most >= 3 and on_a_line(self._target_places()[placed]):
                 what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
             else:
-                what = f"shares only {most} targets with the rest of the network; at least three"
+                what = f"shares only {most} target{'s' * (most != 1)} with the rest of the network; at least three"
             raise NetworkError(
                 f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are "
-                f"missing), or rough coordinates of all{loose}"
+                f'missing), or rough coordinates of all; a station over a target states it with over = "TARGET"{loose}'
             )
         if not self._have.any():
             raise NetworkError(
