@@ -1,6 +1,7 @@
 """Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
 
-python -m experiments 21 [round-1] [round-2] [round-3]    diagnosed today, all against the truth; round-4 once its truth is open
+python -m experiments 21 [round-1] [round-2] [round-3]    diagnosed today, all against the truth
+python -m experiments 21 round-4                          once its truth is open
 """
 
 import json
