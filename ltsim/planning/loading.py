@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, SetupError, as_setup_error
@@ -175,7 +176,14 @@ def _point(table: Points, i: int, path: Path) -> Point:
         raise RecordError("found nothing, expected a number", column=missing, **where)
     group = table.further["group"][i] if "group" in table.further else ""
     rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
-    return Point.model_validate({"name": table.names[i], "group": group, **place, **rest})
+    try:
+        return Point.model_validate({"name": table.names[i], "group": group, **place, **rest})
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        wanted = first["msg"].removeprefix("Value error, ")
+        raise RecordError(
+            f"found {shown(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **where
+        ) from None
 
 
 def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
