@@ -7,15 +7,15 @@ level, a known mark. Small fits run from many starts at once, and the best is ta
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
+from ltsim.adjustment.sight import Sight
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import from_polar, polar_jacobian, to_polar, wrap
+from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
-from ltsim.physics.model.measurement import reduce_to_horizontal
 
 LEAST_DAMPING = 1e-10
 """Damping, relative to the diagonal of the normal equations, that keeps them regular where a direction is open."""
@@ -26,12 +26,8 @@ CLEARLY = 4.0
 """A solution is clear when the next best one is this many times worse (in standard deviations, squared)."""
 WORST = 300.0
 """[standard deviations, rms]: approximate coordinates that fit worse than this are none."""
-FLOOR = 1e-4
-"""[share of the range, rad] Standard deviation of all readings while the coordinates are approximate."""
 BEST = 150
 """Starts that are followed: those that fit best."""
-ROWS = 12
-"""Rows that are fitted, evenly chosen."""
 MOST_STARTS = 400
 ROUND = np.arange(8) * np.pi / 4
 GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
@@ -40,51 +36,6 @@ LEAST_RANGES = 10
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Residuals (b, m) at places (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by what is free."""
-
-
-@dataclass(frozen=True)
-class Sight:
-    """Rows for one fit: front-face readings (k, 3) [m, rad, rad] with NaN where not measured; horizontal distances."""
-
-    readings: Floats
-    horizontal: Bools
-    lift: Floats
-
-    @property
-    def count(self) -> int:
-        """Number of readings."""
-        return int(np.isfinite(self.readings).sum())
-
-    @property
-    def azimuths(self) -> Sight:
-        """The same rows with their azimuths alone."""
-        return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
-
-    def without(self, observable: int) -> Sight:
-        """The same rows without their distances (0), azimuths (1) or elevations (2)."""
-        return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
-
-    def few(self) -> tuple[Ints, Sight]:
-        """Subset of at most `ROWS` rows."""
-        k = len(self.readings)
-        rows = np.arange(k) if k <= ROWS else np.linspace(0, k - 1, ROWS).astype(np.int64)
-        return rows, Sight(self.readings[rows], self.horizontal[rows], self.lift[rows])
-
-    def residual(self, local: Floats) -> tuple[Floats, Floats]:
-        """Residuals (b, 3 k) in parts of the range and their derivatives (b, 3 k, 3) by the local points (b, k, 3)."""
-        size, rows = local.shape[:2]
-        polar = to_polar(local.reshape(-1, 3))
-        by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))
-        range_ = polar[:, 0].reshape(size, rows).copy()
-        reduce_to_horizontal(polar, (by,), np.tile(self.horizontal, size))
-        by, polar = by.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
-        gap = self.readings - polar
-        gap[:, :, 1:] = wrap(gap[:, :, 1:])
-        scale = np.stack([1.0 / range_, np.cos(polar[:, :, 2]), np.ones_like(range_)], axis=2) / FLOOR
-        gap, by = gap * scale, by * scale[..., None]
-        unread = np.isnan(self.readings)
-        gap[:, unread], by[:, unread] = 0.0, 0.0
-        return gap.reshape(size, -1), by.reshape(size, -1, 3)
 
 
 def fit_pose(

@@ -1,10 +1,11 @@
 """Approximate coordinates from the recording alone: stations joined one by one, in closed form where possible."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ltsim.adjustment.fitting import (
     Lines,
-    Sight,
     fit_point,
     fit_pose,
     loose_lines,
@@ -13,13 +14,13 @@ from ltsim.adjustment.fitting import (
     plan_of,
 )
 from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, flat_points, on_a_line, upright_alignment
+from ltsim.adjustment.sight import Sight
 from ltsim.core.arrays import Bools, Floats, Ints, grouped
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.geometry.alignment import robust_align
-from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, smallest_turn
-from ltsim.physics.model.measurement import lift_of
 from ltsim.recordings.recording import Recording
 
 SEEDS = ("frame", "cloud", "ranges", "places", "bearings")
@@ -64,11 +65,9 @@ class NetworkInitialiser:
     def __init__(self, recording: Recording, pairs: Pairs, frame: Frame) -> None:
         self._recording, self._pairs, self._frame = recording, pairs, frame
         stations, targets = len(recording.stations), len(recording.targets)
-        self._front = to_face(recording.readings, recording.face)
-        self._flat = recording.is_horizontal
-        lift = lift_of(recording)
-        self._lift = np.zeros((len(recording), 3)) if lift is None else lift
-        self._pair_lift = pairs.of_rows(recording, self._lift)
+        self._sight = Sight.of(recording)
+        self._front = self._sight.readings
+        self._pair_lift = pairs.of_rows(recording, self._sight.lift)
         self._position = np.full((stations, 3), np.nan)
         self._rotation = np.tile(np.eye(3), (stations, 1, 1))
         self._joined = np.zeros(stations, dtype=bool)
@@ -185,18 +184,19 @@ class NetworkInitialiser:
 
     def _located_by(self, rows: Ints) -> Floats | None:
         station = self._recording.station[rows]
-        position, rotation, front = self._position[station], self._rotation[station], self._front[rows]
-        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | self._flat[rows])
+        position, rotation, sight = self._position[station], self._rotation[station], self._sight.at(rows)
+        front = sight.readings
+        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.horizontal)
         if self._upright and self._frame.level[station].all() and no_heights.all():
             front = np.where([False, False, True], 0.0, front)  # where directions and horizontal distances meet in plan
         beams = np.isfinite(front[:, 1:]).all(axis=1)
         if beams.sum() >= 2:
             rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
-            origin = position[beams] - self._lift[rows][beams]
+            origin = position[beams] - sight.lift[beams]
             point = meeting_point(origin, np.einsum("nij,nj->ni", rotation[beams], rays))
             if point is not None:
                 return point
-        return fit_point(Sight(front, self._flat[rows], self._lift[rows]), position, rotation)
+        return fit_point(replace(sight, readings=front), position, rotation)
 
     def _join_by_fit(self) -> bool:
         """Join a station by a fit of whatever it read to known targets."""
@@ -208,7 +208,7 @@ class NetworkInitialiser:
             if not self._is_new(station, 2 * len(rows) + (stand is not None)):
                 continue
             level = self._upright and bool(self._frame.level[station])
-            sight = Sight(self._front[rows], self._flat[rows], self._lift[rows])
+            sight = self._sight.at(rows)
             pose = fit_pose(sight, places[recording.target[rows]], level=level, position=stand)
             if pose is None and level and stand is not None:  # a wrong range or elevation leaves the heading
                 pose = fit_pose(sight.azimuths, places[recording.target[rows]], level=True, position=stand)

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.adjustment.fitting import Sight, fit_pose
+from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.sight import Sight
 from ltsim.adjustment.snooping import whitened_readings
 from ltsim.core.arrays import Bools, grouped
-from ltsim.geometry.polar import to_face
-from ltsim.physics.model.measurement import State, lift_of
+from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import median_deviation
 
@@ -30,13 +30,11 @@ def resected(problem: NetworkProblem, state: State) -> State:
     recording, far = problem.model.recording, _far(problem, state)
     if not far.any() or far[problem.use].mean() > MOST:
         return state
-    lift = lift_of(recording)
-    lift = np.zeros((len(recording), 3)) if lift is None else lift
-    front = to_face(recording.readings, recording.face)
+    whole, now = Sight.of(recording), far
     for station, rows in grouped(recording.station, np.flatnonzero(problem.use.any(axis=1))):
         if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
             continue
-        sight = Sight(front[rows], recording.is_horizontal[rows], lift[rows])
+        sight = whole.at(rows)
         for observable in range(len(OBSERVABLES)):
             pose = fit_pose(sight.without(observable), state.points[recording.target[rows]])
             if pose is None:
@@ -44,8 +42,9 @@ def resected(problem: NetworkProblem, state: State) -> State:
             position, rotation = state.position.copy(), state.rotation.copy()
             position[station], rotation[station] = pose
             moved = replace(state, position=position, rotation=rotation)
-            if _far(problem, moved)[rows].sum() < _far(problem, state)[rows].sum():
-                state = moved
+            then = _far(problem, moved)
+            if then[rows].sum() < now[rows].sum():
+                state, now = moved, then
     return state
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.fitting import Sight, fit_point
+from ltsim.adjustment.fitting import fit_point
 from ltsim.adjustment.identification.evidence import log_prior_of, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
@@ -21,11 +21,10 @@ from ltsim.adjustment.identification.library import Candidate, candidates, corre
 from ltsim.adjustment.identification.local_shifts import LocalShift, fitted_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.adjustment.sight import Sight
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import to_face
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
-from ltsim.physics.model.measurement import lift_of
 from ltsim.solve.gauss_newton import solve
 
 AT_ONCE = 4_000_000
@@ -213,16 +212,10 @@ def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, 
 
 def _place(fit: Fit, rows: Ints) -> Floats | None:
     """Place (3,) [m] of a target by some pointings to it, the stations as they are; None where it is not clear."""
-    recording, state = fit.recording, fit.state
-    lift = lift_of(recording)
     rows = rows[fit.whole.use[rows].any(axis=1)]
-    sight = Sight(
-        np.where(fit.whole.use[rows], to_face(recording.readings[rows], recording.face[rows]), np.nan),
-        recording.is_horizontal[rows],
-        np.zeros((len(rows), 3)) if lift is None else lift[rows],
-    )
-    station = recording.station[rows]
-    return fit_point(sight, state.position[station], state.rotation[station])
+    sight, station = Sight.of(fit.recording).at(rows), fit.recording.station[rows]
+    usable = replace(sight, readings=np.where(fit.whole.use[rows], sight.readings, np.nan))
+    return fit_point(usable, fit.state.position[station], fit.state.rotation[station])
 
 
 def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:

@@ -1,0 +1,74 @@
+"""Readings for the fit of one pose or point: rows of a recording as the front face would read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
+from ltsim.physics.model.measurement import lift_of, reduce_to_horizontal
+from ltsim.recordings.recording import Recording
+
+ROWS = 12
+"""Rows that are fitted, evenly chosen."""
+FLOOR = 1e-4
+"""[share of the range, rad] Standard deviation of all readings while the coordinates are approximate."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Rows for one fit: front-face readings (k, 3) [m, rad, rad] with NaN where not measured; horizontal distances."""
+
+    readings: Floats
+    horizontal: Bools
+    lift: Floats
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        """All rows of a recording."""
+        lift = lift_of(recording)
+        lift = np.zeros((len(recording), 3)) if lift is None else lift
+        return cls(to_face(recording.readings, recording.face), recording.is_horizontal, lift)
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return int(np.isfinite(self.readings).sum())
+
+    @property
+    def azimuths(self) -> Sight:
+        """The same rows with their azimuths alone."""
+        return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
+
+    def without(self, observable: int) -> Sight:
+        """The same rows without their distances (0), azimuths (1) or elevations (2)."""
+        return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
+
+    def at(self, rows: Ints) -> Self:
+        """Sight of some of the rows."""
+        return replace(self, readings=self.readings[rows], horizontal=self.horizontal[rows], lift=self.lift[rows])
+
+    def few(self) -> tuple[Ints, Sight]:
+        """Subset of at most `ROWS` rows."""
+        k = len(self.readings)
+        rows = np.arange(k) if k <= ROWS else np.linspace(0, k - 1, ROWS).astype(np.int64)
+        return rows, self.at(rows)
+
+    def residual(self, local: Floats) -> tuple[Floats, Floats]:
+        """Residuals (b, 3 k) in parts of the range and their derivatives (b, 3 k, 3) by the local points (b, k, 3)."""
+        size, rows = local.shape[:2]
+        polar = to_polar(local.reshape(-1, 3))
+        by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))
+        range_ = polar[:, 0].reshape(size, rows).copy()
+        reduce_to_horizontal(polar, (by,), np.tile(self.horizontal, size))
+        by, polar = by.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
+        gap = self.readings - polar
+        gap[:, :, 1:] = wrap(gap[:, :, 1:])
+        scale = np.stack([1.0 / range_, np.cos(polar[:, :, 2]), np.ones_like(range_)], axis=2) / FLOOR
+        gap, by = gap * scale, by * scale[..., None]
+        unread = np.isnan(self.readings)
+        gap[:, unread], by[:, unread] = 0.0, 0.0
+        return gap.reshape(size, -1), by.reshape(size, -1, 3)
