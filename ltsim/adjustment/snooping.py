@@ -3,7 +3,6 @@
 Rejected readings are tested again after each solution, and accepted where they fit.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,13 +11,7 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.adjustment.start import initial_network
-from ltsim.adjustment.stochastic_model import (
-    STILL,
-    are_many_far,
-    better_end,
-    cauchy_weights,
-    huber_weights,
-)
+from ltsim.adjustment.stochastic_model import reweighted
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
@@ -217,7 +210,7 @@ def snoop_readings(
     Reweighting finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
     """
-    state = _relaxed(problem, state)
+    state, _ = reweighted(problem, state, int(problem.use.sum()), least=1e-3, steps=RELAXATIONS)
     prediction = problem.model.linearised(state)
     try:
         factor = BlockFactor(problem.system(state, prediction))
@@ -263,27 +256,6 @@ def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
     )
     return np.asarray(out > HALF * used)
-
-
-def _relaxed(problem: NetworkProblem, start: State) -> State:
-    """State with readings reweighted, by Huber's weights or, where many readings are far then, by Cauchy's."""
-    ends = [_reweighted(problem, start, huber_weights)]
-    if are_many_far(ends[0][1]):
-        ends.append(_reweighted(problem, start, cauchy_weights))
-    return ends[better_end([whitened for _, whitened in ends])][0]
-
-
-def _reweighted(problem: NetworkProblem, state: State, weights: Callable[[Floats], Floats]) -> tuple[State, Floats]:
-    """State with reweighted readings, and the whitened residuals (m,) of those in use, without sign."""
-    scale = np.inf
-    for _ in range(RELAXATIONS):
-        prediction = problem.model.linearised(state)
-        whitened = _whitened(problem, prediction.readings)
-        scale = min(scale, max(median_deviation(whitened[problem.use]), 1e-3))
-        state, length = _step(problem, state, prediction, 1.0 / np.sqrt(weights(whitened / scale)))
-        if length < STILL:
-            break
-    return state, whitened_readings(problem, state)[problem.use]
 
 
 def whitened_readings(problem: NetworkProblem, state: State) -> Floats:

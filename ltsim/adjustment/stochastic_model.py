@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -33,14 +34,31 @@ def observations(problem: NetworkProblem) -> int:
 
 
 def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
+    """State with all observations reweighted as of `reweighted`, and the whitened residuals (m,) there."""
+    return reweighted(problem, state, observations(problem), least=1.0, steps=STEPS)
+
+
+def reweighted(problem: NetworkProblem, state: State, count: int, *, least: float, steps: int) -> tuple[State, Floats]:
     """State by iteratively reweighted least squares, and the whitened residuals (m,) there.
 
     By Huber's weights, which forgive a start that is far off; where many readings are far then, also by Cauchy's, which
     keep a good start although many readings of one place contradict it.
+
+    Parameters
+    ----------
+    problem : NetworkProblem
+    state : State
+    count : int
+        Number of rows, the first ones, that are reweighted.
+    least : float
+        Lower bound of the robust standard deviation of the whitened residuals.
+    steps : int
+        Largest number of steps.
     """
-    ends, reading = [_reweighted(problem, state, huber_weights)], int(problem.use.sum())
+    search, reading = partial(_searched, problem, state, count, least, steps), int(problem.use.sum())
+    ends = [search(huber_weights)]
     if are_many_far(ends[0][1][:reading]):
-        ends.append(_reweighted(problem, state, cauchy_weights))
+        ends.append(search(cauchy_weights))
     return ends[better_end([residual[:reading] for _, residual in ends])]
 
 
@@ -65,34 +83,29 @@ def cauchy_weights(size: Floats) -> Floats:
     return 1.0 / (1.0 + (size / CAUCHY) ** 2)
 
 
-def _scale(problem: NetworkProblem, residual: Floats) -> float:
-    """Robust standard deviation of the whitened residuals of readings, 1 at least."""
-    return max(median_deviation(residual[: int(problem.use.sum())]), 1.0)
-
-
-def _reweighted(problem: NetworkProblem, state: State, weights: Callable[[Floats], Floats]) -> tuple[State, Floats]:
-    """State by reweighting all observations, and the whitened residuals (m,).
+def _searched(
+    problem: NetworkProblem, state: State, count: int, least: float, steps: int, weights: Callable[[Floats], Floats]
+) -> tuple[State, Floats]:
+    """State by one kind of weights, and the whitened residuals (m,).
 
     The scale of the residuals never grows: with one that follows them a large error would weigh more the more it bends
     the network (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
     """
-    count = observations(problem)
-    residual, scale = problem.residual(state), np.inf
-    for _ in range(STEPS):
-        scale = min(scale, _scale(problem, residual))
-        root = np.ones(len(residual))
-        root[:count] = np.sqrt(weights(np.abs(residual[:count]) / scale))
+    reading, scale = int(problem.use.sum()), np.inf
+    for _ in range(steps):
         system = problem.linearise(state)
+        scale = min(scale, max(median_deviation(system.residual[:reading]), least))
+        root = np.ones(len(system.residual))
+        root[:count] = np.sqrt(weights(np.abs(system.residual[:count]) / scale))
         weighted = _weighted(system.design, root)
         try:
             step = BlockFactor(BlockSystem(weighted, system.residual * root, system.n_reduced)).step()
         except SingularSystemError:
             break
         state = problem.retract(state, step)
-        residual = problem.residual(state)
         if float(np.sum((weighted @ step) ** 2)) < STILL:
             break
-    return state, residual
+    return state, problem.residual(state)
 
 
 def _weighted(design: Design, weight: Floats) -> Design:
