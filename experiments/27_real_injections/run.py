@@ -174,9 +174,7 @@ def run(given: Options) -> Made:
     if "at-100" in given.words:
         rows = injected(given, settings | {"strengths": [100]}, told_noise=False)
         write_table(given.out / "rows_100.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
-        seen = [r for r in rows if not r["hidden"]]
-        parts = {"all": seen} | {r[c]: [s for s in seen if s[c] == r[c]] for c in ("file", "kind") for r in seen}
-        table = [row for name, some in parts.items() for row in rates(some, 100, name)]
+        table = [row for row in table_of(rows, [100], []) if row["strength"] != "all"]
         write_table(given.out / "table_100.csv", table)
         return Made(settings["seed"], given.trials)
     if "told-noise" in given.words:
