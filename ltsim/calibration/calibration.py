@@ -171,6 +171,10 @@ class Calibration(UncertaintyEntry, ResultFile):
         """The calibration with other fields or arrays."""
         named = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
         arrays = replace(self.arrays, **{name: changes.pop(name) for name in named})
+        return self._of(arrays, **changes)
+
+    def _of(self, arrays: CalibrationArrays, **changes: Any) -> Self:
+        """The calibration of other arrays, with changes of its fields."""
         fields = {name: getattr(self, name) for name in type(self).model_fields if name not in DERIVED}
         return type(self).of(arrays, **{**fields, **changes})
 
@@ -324,8 +328,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     def part(self, instrument: int, keep: Ints) -> Self:
         """Calibration of one instrument with the parameters `keep` (k,), without a correction."""
-        fields = {name: getattr(self, name) for name in type(self).model_fields if name not in DERIVED}
-        return type(self).of(self.arrays.part(instrument, keep), **{**fields, "correction": None})
+        return self._of(self.arrays.part(instrument, keep), correction=None)
 
     def values_for(self, recording: Recording) -> Floats:
         """Parameters to apply (p,) or, where instruments differ, (n, p) of each pointing of a recording.
