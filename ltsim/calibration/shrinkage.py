@@ -132,7 +132,7 @@ class ScaledPrior:
     ) -> None:
         self._is_free, self._rest = is_free, rest
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
-        self._strength = np.maximum(strength, 1e-12 * max(float(strength[-1]), 1.0))
+        self._strength = np.maximum(strength, 1e-12 * float(strength.max(initial=1.0)))
         self._information_vector = self._basis.T @ information_vector
         self._scales = SCALES[0.99 * least < SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
