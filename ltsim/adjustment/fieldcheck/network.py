@@ -15,7 +15,7 @@ from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import reference_tests
 from ltsim.adjustment.reference_values import Kind
 from ltsim.adjustment.reliability import FEW
-from ltsim.adjustment.station_motions import SuddenMotion, motion_sentences, moving_stations
+from ltsim.adjustment.station_motions import Motion, SuddenMotion, motion_sentences
 from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
@@ -75,13 +75,14 @@ def items_of_network(
     plain: Adjustment | LtsimError,
     family: Family,
     motions: Sequence[StationMotion],
+    moving: Sequence[Motion],
     *,
     with_target_noise: bool,
 ) -> tuple[Item, ...]:
     """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
 
     `plain` is the network of `adjust`, with the declared noise even if the recording is one `with_target_noise`;
-    `motions` of stations were estimated from their single set-ups.
+    `motions` of stations were estimated from their single set-ups, those `moving` from the network.
     """
     try:
         built = declared_construction(recording)
@@ -90,10 +91,8 @@ def items_of_network(
     try:
         if isinstance(plain, LtsimError):
             raise plain
+        motions = (*motions, *moving)
         fitted = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
-        if moving := moving_stations(fitted):
-            motions = (*motions, *moving)
-            fitted = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
         return (Item.of("", "network", False, f"the set-ups do not form a network: {problem}"),)
     items = [Item.of("", "network", False, doubt) for doubt in network_warnings(plain)]

@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.identification.fit import Fit, Network
-from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, NoiseFactor, Omission
+from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.adjustment.identification.library import conventions, exchanges, omissions_of
 from ltsim.adjustment.identification.screen import looks
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.snooping import LARGEST_ERROR
+from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
@@ -103,6 +105,14 @@ class Selection:
         gross = exchanged or any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
         return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > AGREES)
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Motions of stations beyond doubt, for an adjustment that is not made with all selected hypotheses."""
+        sure = [c.hypothesis.change for c in self.choices if c.gain > BEYOND_DOUBT]
+        effects = [change.effect for change in sure if isinstance(change, Shift)]
+        sudden = (SuddenMotion(e.stations, time=e.time) if isinstance(e, StationBump) else e for e in effects)
+        return tuple(motion for motion in sudden if isinstance(motion, Motion))
 
     @property
     def explains(self) -> bool:
