@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.reliability import critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.significance import MAJORITY, UNCHECKED
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import reweighted
 from ltsim.adjustment.structure import refusing_singular
@@ -36,8 +37,6 @@ SETTLED = 0.9
 RELAXATIONS = 8
 ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
-HALF = 0.5
-"""Share of the readings of a set-up above which they are rejected together where the rest does not hold its pose."""
 STEPS = 10
 """Iterations of a solution on the way; the last has as many as it needs."""
 UNPREDICTED = 100.0
@@ -255,7 +254,7 @@ def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
     )
-    return np.asarray(out > HALF * used)
+    return np.asarray(out > MAJORITY * used)
 
 
 def whitened_readings(problem: NetworkProblem, state: State) -> Floats:

@@ -17,10 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
 from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
 from ltsim.calibration.schema import Correction
@@ -31,12 +33,11 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
-CONTRADICTS = 3.32
+CONTRADICTS = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
 """The declared scale (1) is rejected if the maximum log-likelihood exceeds its own by more than this: likelihood ratio
-test at 1 %, half the 99 % point of chi-square with one degree of freedom."""
-PLAUSIBLE = 1.35
-"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided 95 %, half the 90 % point of
-chi-square with one degree of freedom."""
+test."""
+PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
+"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided likelihood ratio test."""
 UNLIKELY = 30.0
 """Prior scale above which the misfit is attributed to something other than the instrument parameters: no instrument
 exceeds its guarantee so far in all of them."""

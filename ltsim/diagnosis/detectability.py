@@ -15,7 +15,8 @@ from ltsim.adjustment.remedies.detectability import (
 )
 from ltsim.adjustment.remedies.next_measurement import deciding, explanation, space_of
 from ltsim.adjustment.remedies.remedy import advice
-from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
@@ -71,7 +72,9 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDet
             grams = np.stack(space.projection.grams(signatures, edges, slice(None)))
             norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
-            information, share, rank = visible_information(grams / (unit[:, :, None] * unit[:, None, :]), norm, VISIBLE)
+            information, share, rank = visible_information(
+                grams / (unit[:, :, None] * unit[:, None, :]), norm, UNCHECKED
+            )
             entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(entries, len(effects))
 

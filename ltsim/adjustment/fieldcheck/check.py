@@ -28,6 +28,7 @@ from ltsim.adjustment.fieldcheck.words import (
 )
 from ltsim.adjustment.identification import identified, outcomes
 from ltsim.adjustment.reliability import neg_log_p_chi2
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.station_motions import WITNESSES, EvenMotion, by_runs
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -41,7 +42,6 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
-LEVEL = 0.01
 MOST_GROSS = 0.1
 """Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
 TESTS = 6
@@ -53,7 +53,7 @@ MIN_TARGET_DOF = 6.0
 """Degrees of freedom from which a target shows a scatter of its own."""
 
 
-def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float, float] | None = None) -> Check:
+def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple[float, float] | None = None) -> Check:
     """Go or no-go in the field: two-face differences, repeated points, drift, bumps and scatter.
 
     Parameters

@@ -15,6 +15,7 @@ from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, Noi
 from ltsim.adjustment.identification.library import conventions, exchanges, omissions_of
 from ltsim.adjustment.identification.screen import looks
 from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
@@ -47,8 +48,8 @@ LARGE = 1500
 """Pointings from which a network that agrees as a whole is not looked at place by place: 5 s of processor time."""
 COMPUTED = 1e-6
 """Chi-square over degrees of freedom below which readings are computed: a thousandth of the declared noise."""
-AGREES, FEW = 0.01, 0.01
-"""Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
+FEW = 0.01
+"""Share of outliers below which a large network agrees, if the global test accepts it at `FAMILY_LEVEL`."""
 FAR_AMONG = 3
 """Reference values among which one may be far off and omitted at the beginning: of more no majority tells which."""
 AFTER_ALL = 0.5
@@ -104,7 +105,7 @@ class Selection:
         exchanged = any(isinstance(h.change, Exchange) for h in sure)
         gross = exchanged or any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
-        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > AGREES)
+        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -127,7 +128,7 @@ class Selection:
         others = any(isinstance(change, Omission) for change in changes) or any(self.fit.problem.marks.names)
         doubtful = quieter or others or (_misfit(self.fit) and bool(self.fit.outliers.any()))
         sure = all(c.gain > BEYOND_DOUBT and c.hypothesis.kind != "unit" for c in self.choices)
-        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > AGREES
+        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
@@ -178,7 +179,9 @@ def _agrees(fit: Fit) -> bool:
         return True
     if len(fit.recording) < LARGE:
         return False
-    return fit.adjustment.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+    return (
+        fit.adjustment.p_value > FAMILY_LEVEL and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+    )
 
 
 def identified(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment.reliability import POWER, noncentrality, single_level
+from ltsim.adjustment.reliability import noncentrality, single_level
 from ltsim.adjustment.remedies.detectability import (
     LEVEL,
     detectability,
@@ -15,6 +15,7 @@ from ltsim.adjustment.remedies.detectability import (
     search_noncentrality,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import POWER
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.head_sag import HeadSag
