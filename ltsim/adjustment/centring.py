@@ -22,7 +22,9 @@ from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
 DAY = 86_400.0
+"""[s]"""
 MOST = 6
+"""Centring errors that are estimated at most: a network with more is measured again."""
 MOVED = "target-moved"
 """Catalogue effect of a centring error: the equipment on a mark moved."""
 

@@ -31,10 +31,14 @@ LARGEST_ERROR = 1e-3
 WORKSHOP = 10.0
 """[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
 FACTOR = 30.0
+"""Ratio of a miss to the robust standard deviation of all misses above which a pointing is a gross error: that of no
+noise."""
 PASSES = 20
+"""Linear steps at most from approximate coordinates until no gross miss shrinks."""
 SETTLED = 0.9
 """A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
 RELAXATIONS = 8
+"""Reweightings before snooping: its single steps correct what these leave."""
 ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
 STEPS = 10

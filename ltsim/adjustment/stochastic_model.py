@@ -25,6 +25,7 @@ of normal residuals 97 and 95 % efficiency."""
 MANY = 0.02
 """Share of readings with residuals above `FAR` declared standard deviations that is many."""
 STEPS = 25
+"""Reweightings at most, each with a linear step."""
 STILL = 1e-2
 """Squared length of a step, in standard deviations, after which the state moves no more."""
 
@@ -118,8 +119,12 @@ def _weighted(design: Design, weight: Floats) -> Design:
 
 Grouping = Literal["observable", "instrument"]
 CLOSE = 2e-3
+"""Relative change of variance factors that ends their estimation: a tenth of the standard deviation of one from 1,250
+readings."""
 PASSES = 30
+"""Estimates of the variance factors at most, for given outliers."""
 ROUNDS = 6
+"""Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 LEAST = 3.0
 """Redundancy below which a group says too little about its noise: it keeps the stated one."""
 

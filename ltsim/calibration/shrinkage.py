@@ -33,6 +33,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
+"""Scales of the prior that are tried: steps of 12 %."""
 CONTRADICTS = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
 """The declared scale (1) is rejected if the maximum log-likelihood exceeds its own by more than this: likelihood ratio
 test."""
@@ -49,6 +50,7 @@ parameter, 2 in units of chi-square."""
 LARGEST = 400
 """Held-out targets are tested in networks of at most this many poses and parameters (cost: a dense inverse)."""
 MOST_TARGETS = 150
+"""Targets that are held out at most; of more, some evenly spread (cost)."""
 FEWEST = 5
 """Held-out targets are tested if there are at least this many that predict each other."""
 

@@ -17,7 +17,7 @@ from ltsim.adjustment.remedies.next_measurement import deciding, explanation, sp
 from ltsim.adjustment.remedies.remedy import advice
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import UNCHECKED
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import AT_ONCE, Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -33,8 +33,6 @@ TIE = 1e-6
 """Sizes within this relative difference are equal, and the first is reported: rounding must not decide."""
 DIGITS = 6
 """Decimals [um] to which a distortion is rounded."""
-AT_ONCE = 1_000_000
-"""Numbers of signatures in memory at a time."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 

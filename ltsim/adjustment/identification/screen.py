@@ -23,13 +23,11 @@ from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, rel
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.sight import Sight
 from ltsim.adjustment.significance import UNCHECKED
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import AT_ONCE, Bools, Floats, Ints
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
-AT_ONCE = 4_000_000
-"""Numbers of signatures that are projected at once."""
 EXACT = 3_000_000
 """Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
 MANY, HALF, PLACES = 6, 0.4, 5
