@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -134,7 +135,7 @@ def error(points: np.ndarray, hall: Hall, lost: Sequence[int]) -> float:
 
 
 def verdict(name: str, report: Report, cause: Cause | None, is_good: bool) -> str:
-    """`right`, or what is wrong; smaller noise than declared is no reason for `check` to stop."""
+    """What is right, beginning with `right`, or what is wrong; smaller noise than declared does not stop `check`."""
     quiet = cause is None or (cause.name == "noise of a factor" and cause.size < 1.0)
     if name == "check":
         if quiet:
@@ -145,7 +146,9 @@ def verdict(name: str, report: Report, cause: Cause | None, is_good: bool) -> st
     if name == "diagnose":
         wrong = {"place": not report.names_place, "elsewhere": report.names_other, "coordinates": not is_good}
         return ", ".join(word for word, fails in wrong.items() if fails) or RIGHT
-    return RIGHT if is_good or report.names_place else "place and coordinates"
+    if report.names_place and is_good:
+        return RIGHT
+    return f"{RIGHT}: place" if report.names_place else f"{RIGHT}: coordinates" if is_good else "place, coordinates"
 
 
 def asked(name: str, observations: Observations, cause: Cause | None, folder: Path) -> tuple[str, Report | None]:
@@ -165,25 +168,33 @@ def asked(name: str, observations: Observations, cause: Cause | None, folder: Pa
     return f"{seconds:.0f} s" if seconds > LIMIT_S else "", report
 
 
-def rung(hall: Hall, cause: Cause | None, number: int, names: Sequence[str]) -> Row:
-    """Verdicts of all entrants on one recording with a cause, or without one."""
-    observations, row = Observations.of(hall, cause, number), {}
-    lost = hall.lost(cause) if cause else ()
+def rungs(hall: Hall, causes: Sequence[Cause | None], number: int, names: Sequence[str]) -> list[Row]:
+    """Verdicts of all entrants on recordings of a hall with the same noise, each with a cause or without one."""
+    rows = []
+    references: dict[tuple[str, tuple[int, ...]], float] = {}
     with TemporaryDirectory() as folder:
-        for name in names:
-            problem, report = asked(name, observations, cause, Path(folder) / "rung")
-            if report is None or problem:
-                row[name] = problem
-                continue
-            is_good = False
-            if cause is not None and report.points is not None:
-                clean = Observations.of(hall, None, number).without(tuple(set(lost) & set(hall.control.tolist())))
-                _, reference = asked(name, clean, None, Path(folder) / "clean")
-                if reference is not None and reference.points is not None:
-                    possible = error(reference.points, hall, lost)
-                    is_good = error(report.points, hall, lost) <= FACTOR * possible + ALLOWANCE
-            row[name] = verdict(name, report, cause, is_good)
-    return row
+        for cause in causes:
+            lost, row = hall.lost(cause) if cause else (), Row()
+            for name in names:
+                problem, report = asked(name, Observations.of(hall, cause, number), cause, Path(folder) / "rung")
+                if report is None or problem:
+                    row[name] = problem
+                    continue
+                is_good = False
+                if cause is not None and report.points is not None:
+                    if (name, lost) not in references:
+                        references[name, lost] = possible(name, hall, number, lost, Path(folder) / "clean")
+                    is_good = error(report.points, hall, lost) <= FACTOR * references[name, lost] + ALLOWANCE
+                row[name] = verdict(name, report, cause, is_good)
+            rows.append(row)
+    return rows
+
+
+def possible(name: str, hall: Hall, number: int, lost: Sequence[int], folder: Path) -> float:
+    """Coordinate error [m] of an entrant without a cause, and without the control points that are lost; else 0."""
+    clean = Observations.of(hall, None, number).without(tuple(set(lost) & set(hall.control.tolist())))
+    _, report = asked(name, clean, None, folder)
+    return 0.0 if report is None or report.points is None else error(report.points, hall, lost)
 
 
 def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cause | None, int]]:
@@ -216,10 +227,11 @@ def table_of(rows: Sequence[Row]) -> list[Row]:
     for column, value in [("all", "all"), *groups]:
         some = [r for r in rows if column == "all" or r[column] == value]
         row = {"by": column, "of": value, "rungs": len(some)}
-        row |= {name: sum(r[name] == RIGHT for r in some) for name in names}
+        row |= {name: sum(r[name].startswith(RIGHT) for r in some) for name in names}
+        row |= {f"{name}_both": sum(r[name] == RIGHT for r in some) for name in names if name != "check"}
         if column == "all":
             for name in names:
-                part = share([r[name] == RIGHT for r in some], [f"{r['hall']} {r['cause']}" for r in some])
+                part = share([r[name].startswith(RIGHT) for r in some], [f"{r['hall']} {r['cause']}" for r in some])
                 row |= {f"{name}_low": round(part["low"], 3), f"{name}_high": round(part["high"], 3)}
         found.append(row)
     return found
@@ -232,14 +244,16 @@ def run(given: Options) -> Made:
         if "gama" not in names:
             tell(f"gama: left out, {peers.GAMA} is not on the PATH")
         halls = [Hall.of(own, settings["noise"], settings["seed"] + k) for k, own in enumerate(settings["hall"])]
-        rungs = [(hall, *each) for hall in halls for each in rungs_of(hall, settings)]
+        entries = [(hall, *each) for hall in halls for each in rungs_of(hall, settings)]
         if given.trials is not None:
-            rungs = [each for each in rungs if each[2] is None or each[1]["rung"] <= given.trials]
-        results = parallel(rung, [(hall, cause, number, names) for hall, _, cause, number in rungs], given.jobs)
+            entries = [entry for entry in entries if entry[1].get("rung", 1) <= given.trials]
+        groups = [list(group) for _, group in groupby(entries, key=lambda entry: (entry[0].name, entry[3]))]
+        tasks = [(group[0][0], [cause for _, _, cause, _ in group], group[0][3], names) for group in groups]
         rows = []
-        for (_, row, _, _), verdicts in zip(rungs, results, strict=True):
-            rows.append(row | verdicts)
-            tell("  ".join(str(v) for v in rows[-1].values()))
+        for group, verdicts in zip(groups, parallel(rungs, tasks, given.jobs), strict=True):
+            for (_, row, _, _), verdict_row in zip(group, verdicts, strict=True):
+                rows.append(row | verdict_row)
+                tell("  ".join(str(v) for v in rows[-1].values()))
         write_table(file, rows)
     rows = pd.read_csv(file).convert_dtypes().to_dict("records")
     show_table(given.out / "table.csv", table_of(rows))

@@ -54,13 +54,13 @@ def test_every_cause_changes_something_and_the_first_rung_has_its_noncentrality(
             assert strength == pytest.approx(SETTINGS["noncentrality"], rel=0.02)
 
 
-def test_snooping_names_a_wrong_distance_and_all_entrants_are_judged(tmp_path: Path) -> None:
+def test_snooping_names_a_wrong_distance_and_all_entrants_are_judged() -> None:
     observations, cause = rung_of(2, "one distance", 2)
     place = observations.hall.place(cause)
     answer = peers.snooping(observations)
     assert place.includes(answer.stations, answer.targets)
-    row = ladder.rung(observations.hall, cause, 3, ["check", "adjust", "snooping"])
-    assert row == {"check": "right", "adjust": "right", "snooping": "right"}
+    rows = ladder.rungs(observations.hall, [None, cause], 3, ["check", "adjust", "snooping"])
+    assert rows == 2 * [{"check": "right", "adjust": "right", "snooping": "right"}]
 
 
 def test_verdicts() -> None:
@@ -69,8 +69,9 @@ def test_verdicts() -> None:
     assert place.includes({"S2"}, {"K07"}) and not place.includes(set(), {"K07", "K08"})
     elsewhere = ladder.Report(np.zeros((1, 3)), False, True, True)
     assert ladder.verdict("diagnose", elsewhere, cause, False) == "place, elsewhere, coordinates"
-    assert ladder.verdict("adjust", elsewhere, cause, True) == "right"
-    assert ladder.verdict("adjust", elsewhere, cause, False) == "place and coordinates"
+    assert ladder.verdict("adjust", elsewhere, cause, True) == "right: coordinates"
+    assert ladder.verdict("adjust", elsewhere, cause, False) == "place, coordinates"
+    assert ladder.verdict("adjust", ladder.Report(None, True, False, True), cause, False) == "right: place"
     assert ladder.verdict("check", ladder.Report(None, True, False, False), cause, False) == "passes"
     assert ladder.verdict("adjust", elsewhere, None, True) == "false report"
     assert ladder.says("no-go: the distances to K07 are 1 mm too long", place)
