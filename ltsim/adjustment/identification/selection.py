@@ -15,7 +15,7 @@ from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, Noi
 from ltsim.adjustment.identification.library import conventions, exchanges, omissions_of
 from ltsim.adjustment.identification.screen import looks
 from ltsim.adjustment.prior import ParameterPrior
-from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.adjustment.significance import FAMILY_LEVEL, NOT_EXCLUDED
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
@@ -58,8 +58,6 @@ BENDS = 50.0
 """Log evidence of a shift of ten standard deviations; a smaller shift hardly changes where a network converges."""
 FULFILLED = 0.8
 """Share of its promise, a quadratic form at the present state, from which the look at the others may be trusted too."""
-ALTERNATIVE = 5.0
-"""Log evidence behind a choice from which a hypothesis has less than 1 % of its probability."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +295,7 @@ def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None, r
             choices.append(Choice(h, np.inf, ()))
             continue
         gain = fit.log_evidence - rest.log_evidence
-        tried = last[1] if last is not None and is_last else _fitted(rest, gain - ALTERNATIVE, h)
+        tried = last[1] if last is not None and is_last else _fitted(rest, gain + float(np.log(NOT_EXCLUDED)), h)
         others = [(other, made) for other, made in tried if other.place != h.place]
         if others and others[0][1].log_evidence > fit.log_evidence + least:
             return _judged_again(others[0][1], least, beginning, None, required)
