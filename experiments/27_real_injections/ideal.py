@@ -14,7 +14,8 @@ from scipy.special import logsumexp
 
 from experiments.common import Row
 from ltsim.adjustment import adjust
-from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.calibration.verbs import requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
@@ -82,7 +83,7 @@ class Observer:
             rows = self.space.signature(instance.cause) * instance.cause.spread
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
-            visible = values > VISIBLE * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
+            visible = values > UNCHECKED * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
             found.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
         return found
 
