@@ -81,6 +81,12 @@ class ResidualSpace:
             rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge.whitened(gauge)
         return rows
 
+    def unwhitened(self, change: Floats) -> Floats:
+        """Readings (n, 3) [m, rad, rad] of whitened rows (m,); 0 for readings that are not in use."""
+        readings = np.zeros(self.use.shape)
+        readings[self.use] = change[: int(self.use.sum())] * self.sigma[self.use]
+        return readings
+
     def signature(self, law: Signature) -> Floats:
         """Whitened signature (m, q) of a law, before the adjustment takes its share."""
         gauge = self.adjustment.problem.gauge
