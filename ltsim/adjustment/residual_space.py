@@ -14,13 +14,11 @@ from typing import Self
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import Signature
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import Projection
-
-VISIBLE = 1e-6
-"""Share of a signature's squared size below which its rest after the adjustment is rounding, not information."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +129,6 @@ def orthonormal(projected: Floats, norms: Floats) -> Floats:
     """
     unit = projected / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
-    is_visible = strength > VISIBLE
+    is_visible = strength > UNCHECKED
     basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))
     return basis

@@ -28,7 +28,7 @@ from ltsim.diagnosis.hypotheses import Model, likeliest
 from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.null_ensemble import TRIALS
-from ltsim.diagnosis.preprocessing import adapted, agreeing
+from ltsim.diagnosis.preprocessing import adapted_baseline, agreeing
 from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
@@ -102,14 +102,14 @@ def diagnose(
         baseline, mistaken = adjust(recording, construction), list[Finding]()
         use = baseline.problem.use
     else:
-        baseline, use, mistaken = adapted(recording, construction, selection)
+        baseline, use, mistaken = adapted_baseline(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
     case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
     beginning, detection, model, fitted = _searched(case, level, compared)
     if selection is not None and model.members:
         restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
-            baseline, use, mistaken = adapted(recording, construction, selection, restored=restored)
+            baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
             beginning, detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level

@@ -9,6 +9,7 @@ import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
+from ltsim.adjustment.significance import NOT_EXCLUDED
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
 from ltsim.diagnosis.detect import Detection
@@ -37,8 +38,6 @@ MOST_EQUIVALENTS = 3
 """Largest number of reported equivalents."""
 MOST_ESTIMATES = 12
 """Largest number of reported sizes of one change of the noise by target or set-up."""
-NOT_EXCLUDED = 0.01
-"""Another effect is reported as an equivalent if its probability exceeds this."""
 FEW_READINGS, MOSTLY = 4, 0.8
 """Readings are listed if at most this many carry this share of the decrease of chi-square."""
 SURE = 2.0
