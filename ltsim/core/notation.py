@@ -16,7 +16,7 @@ MOST_DECIMALS = 12
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for none."""
+    """Number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return NONE
     if value == 0:
@@ -80,7 +80,7 @@ def listing(words: Sequence[str], most: int = 6) -> str:
 
 
 def fixed(value: float | None, places: int) -> str:
-    """A number with `places` decimals and without thousands separators; a dash for none."""
+    """Number with `places` decimals and without thousands separators; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return NONE
     text = f"{value:.{places}f}"

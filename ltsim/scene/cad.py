@@ -1,7 +1,8 @@
-"""CAD files as triangles in metres with z up, each format by its own convention.
+"""Reader of CAD files: triangles in metres with z up, by the convention of each format.
 
-glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY state nothing and are taken in millimetres
-with z up. What a file was taken for is told, and a body of an unlikely size or place is a question, not a body.
+glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY state nothing and are read in millimetres
+with z up. The assumed unit and vertical axis are reported; a body of an implausible size or position is an error that
+asks the user to state them.
 """
 
 import re
@@ -22,35 +23,38 @@ GLTF = (".glb", ".gltf")
 SUFFIXES = (*FACETS, *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
 STEP = 1.0
-"""[mm] Spacing of single-precision numbers at the place of a body above which a file is refused:
-halls are planned to the millimetre, and sights pass bodies at a few centimetres."""
+"""Spacing [mm] of single-precision numbers at the position of a body above which a file is refused: halls are planned
+to the millimetre, and lines of sight pass bodies at a few centimetres.
+"""
 SINGLE = (".stl", *GLTF)
 """Suffixes of files whose coordinates may be in single precision."""
 SMALL = FACTOR["mm"] / FACTOR["in"]
-"""Share of the room's length: a body that is shorter may be one whose numbers are inches."""
+"""Length of a body as a fraction of the room's length below which its numbers may be inches."""
 BEYOND = 0.05
-"""[m] Distance by which a body may reach beyond the room or below its floor."""
+"""Distance [m] by which a body may extend beyond the room or below its floor."""
 PER_METRE = 1e5
-"""Corners lie on a grid of 10 um: single precision, as STL and glTF have it, keeps no more over 40 m."""
+"""Grid points per metre for the corners of triangles (10 um); single precision, as in STL and glTF, resolves no more
+over 40 m.
+"""
 BLOCK = 1 << 16
-"""Triangles that are put on the grid together: what lies between takes memory for so many alone."""
+"""Number of triangles that are rounded to the grid together, which bounds the memory of intermediate results."""
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns y up to z up: x stays, y becomes z, z becomes -y."""
+"""Rotation matrix from y up to z up: x stays, y becomes z, z becomes -y."""
 
 
 @dataclass(frozen=True)
 class Cad:
-    """A CAD file as it was read."""
+    """Contents of a CAD file, with the unit and vertical axis used to read it."""
 
     file: Path
     triangles: Floats
-    """(m, 3, 3) [m], z up."""
+    """Triangles of the body, (m, 3, 3) [m], z up."""
     unit: str
-    """`mm`, `m` or `in`; empty where the file states its own."""
+    """Unit used for reading, `mm`, `m` or `in`; empty for a format that states its unit."""
     up: str
-    """`y` or `z`."""
+    """Vertical axis of the file, `y` or `z`."""
     sure: bool
-    """The unit is stated, by the file or by who named it."""
+    """True if the file or the user states the unit."""
 
     @property
     def read_as(self) -> str:
@@ -61,12 +65,15 @@ class Cad:
 
     @property
     def turned(self) -> Floats:
-        """The triangles (m, 3, 3) as they would be if the other one of y and z pointed up."""
+        """Triangles (m, 3, 3) for the other vertical axis (y and z exchanged)."""
         return self.triangles @ (UPRIGHT if self.up == "y" else UPRIGHT.T)
 
 
 def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:
-    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) where its convention does not hold; SetupError."""
+    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) replace the convention of its format.
+
+    Raises SetupError.
+    """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
@@ -86,7 +93,7 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 
 @lru_cache(maxsize=8)
 def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
-    """Triangles (m, 3, 3) [m], z up, of a file whose numbers are `factor` metres, whatever its format and order."""
+    """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
     triangles = _as_written(path, factor)
     parts = range(0, len(triangles), BLOCK)
     corners = np.concatenate([_on_grid(factor * triangles[start : start + BLOCK], up) for start in parts])
@@ -102,7 +109,10 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
 
 
 def _on_grid(triangles: Floats, up: str) -> Ints:
-    """Corners (k, 9) on the grid of the triangles (m, 3, 3) [m] that are not degenerate, each from its first corner."""
+    """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
+
+    Each triangle starts with its first corner.
+    """
     corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
@@ -111,7 +121,10 @@ def _on_grid(triangles: Floats, up: str) -> Ints:
 
 
 def _as_written(path: Path, factor: float) -> Floats:
-    """Triangles (m, 3, 3) in the numbers (of `factor` metres) and axes of a file, of an exact one [m]."""
+    """Triangles (m, 3, 3) in the unit (`factor` metres) and axes of the file.
+
+    Those of a CAD model with exact surfaces in metres.
+    """
     suffix = path.suffix.lower()
     if suffix in EXACT and not installed("cascadio"):
         raise SetupError(
@@ -129,7 +142,7 @@ def _as_written(path: Path, factor: float) -> Floats:
 
 
 def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
-    """Raise SetupError where single precision rounds coordinates (in units of `factor` metres) more than `STEP`."""
+    """Check that single precision rounds coordinates (unit `factor` metres) by less than `STEP`; raises SetupError."""
     single = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE or not np.array_equal(single, triangles):
         return
@@ -142,14 +155,14 @@ def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
 
 
 def extent(triangles: Floats) -> str:
-    """Size and place of triangles (m, 3, 3) [m] in words."""
+    """Size and position of triangles (m, 3, 3) [m] as text."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     size = " x ".join(f"{v:.3g}" for v in high - low)
     return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
 
 
 def size_question(cad: Cad, room: Floats) -> str:
-    """Question about the size of a body in a room (3,) [m]; empty where there is none."""
+    """Question to the user about the size of a body in a room (3,) [m]; empty for a plausible size."""
     length, least, most = np.ptp(cad.triangles, axis=(0, 1)), SMALL * room.max(), 1.5 * room.max()
     if cad.sure or least <= length.max() <= most:
         return ""
@@ -163,6 +176,6 @@ def size_question(cad: Cad, room: Floats) -> str:
 
 
 def inside(triangles: Floats, room: Floats) -> bool:
-    """True if triangles (m, 3, 3) [m] stay in a room (3,) [m] whose corner is the origin."""
+    """True if triangles (m, 3, 3) [m] lie within a room (3,) [m] that has a corner at the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     return bool(np.all(low >= -BEYOND) and np.all(high <= room + BEYOND))

@@ -1,4 +1,4 @@
-"""Obstacles: what stands between a station and a target, where no station can stand, and where nests can be mounted.
+"""Obstacles as triangle meshes: blocked lines of sight, positions inside bodies, surfaces for nests.
 
 Embree (the extra `cad`) casts the rays in single precision; rays that pass close to an edge, where it may err either
 way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
@@ -17,44 +17,48 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z, perpendicular
 
 GRAZE = 1e-4
-"""Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
+"""Half-width [m] of the bundle of rays around a line of sight whose results must agree; single precision errs by 1e-6 m
+at 10 m.
+"""
 END = 1e-6
 CHUNK = 2_000_000
 SKY = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
-"""Slightly off the vertical, so that edges of upright boxes are not met all along."""
+"""Direction of vertical test rays, tilted slightly so that they do not run along the edges of upright boxes."""
 SMOOTH = np.radians(35.0)
-"""Angle under which two triangles are taken for parts of one curved surface."""
+"""Angle [rad] between neighbouring triangles below which they count as one curved surface."""
 SIDES = 64
-"""Number of sides of a cylinder: 0.1 % more than its diameter at the corners."""
+"""Number of sides of a cylinder; its corners are 0.1 % outside the diameter."""
 FOOT = 0.025
-"""[m] Radius of the foot of a nest."""
+"""Radius [m] of the foot of a nest."""
 UNEVEN = 0.002
-"""[m] Largest deviation of the surface from a plane under the foot."""
+"""Largest deviation [m] of the surface from a plane under the foot of a nest."""
 STEEPEST = -0.5
-"""Smallest vertical component of a face's normal: faces that look down more carry no nest."""
+"""Smallest vertical component of a face's normal: steeper overhanging faces carry no nest."""
 DENSE = 12.0
-"""Places that are drawn for every square of the wanted distance, before the near ones are dropped."""
+"""Number of random places drawn per square of the wanted spacing, before places too near to others are dropped."""
 MOST_DRAWN = 20_000
 SAME = 8
-"""Decimals [m] in which corners agree that are one."""
+"""Number of decimals [m] to which corners are rounded when equal corners are merged."""
 BOX = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
 ].reshape(12, 3, 3)
-"""Triangles (12, 3, 3) of a cube of edge 1 about the origin, normals outward; nests are drawn in their order."""
+"""Triangles (12, 3, 3) of a cube of edge 1 m about the origin, normals outward; random places on it depend on their
+order.
+"""
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Triangles in the network frame."""
+    """Obstacles of the hall: triangles in the network frame."""
 
     triangles: Floats
-    """Corners, (m, 3, 3) [m]."""
+    """Corners of the triangles, (m, 3, 3) [m]."""
     floor: float = 0.0
-    """[m]: height on which tripods stand."""
+    """Height [m] of the floor on which tripods stand."""
 
     @cached_property
     def _rays(self) -> Any:
-        """Embree's rays; None where it is not installed, or there is nothing to hit."""
+        """Ray caster of Embree; None if it is not installed, or if there are no triangles."""
         if not len(self.triangles):
             return None
         try:
@@ -67,7 +71,7 @@ class Obstacles:
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def blocked(self, origins: Floats, ends: Floats) -> Bools:
-        """A triangle lies between origins and ends (n, 3) [m]; touching an edge counts, (n,)."""
+        """Flags (n,): a triangle lies between an origin and an end (n, 3) [m]; touching an edge counts."""
         hit = self._met(origins, ends)
         if self._rays is None or not hit.size:
             return hit
@@ -82,7 +86,8 @@ class Obstacles:
     def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
         """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
 
-        Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
+        Rays start at the corners of a square around the circle of that radius, perpendicular to the line of sight, so
+        that an edge of a body is not missed.
         """
         sight = ends - origins
         side, other = perpendicular(sight / np.linalg.norm(sight, axis=1, keepdims=True))
@@ -94,7 +99,7 @@ class Obstacles:
         return hit
 
     def _met(self, origins: Floats, ends: Floats) -> Bools:
-        """A triangle lies between, to the precision of the rays in use, (n,)."""
+        """Flags (n,): a triangle lies between origin and end, to the precision of the ray caster in use."""
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
         length = np.linalg.norm(ends - origins, axis=1)
@@ -108,7 +113,7 @@ class Obstacles:
         return hit
 
     def holds(self, points: Floats) -> Bools:
-        """Points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces, (n,)."""
+        """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of surfaces."""
         (west, south), (east, north) = self._above
         flat = _from_sky(points)
         count = np.zeros(len(points), dtype=np.int64)
@@ -122,16 +127,18 @@ class Obstacles:
 
     @cached_property
     def _above(self) -> tuple[Floats, Floats]:
-        """Corners (2, m) of the rectangles round the triangles as the sky sees them."""
+        """Corners (2, m) of the bounding rectangles of the triangles, seen from above."""
         flat = _from_sky(self.triangles)
         return flat.min(axis=1).T - END, flat.max(axis=1).T + END
 
     @cached_property
     def _open(self) -> Floats:
-        """(m,) [m]: how far from a triangle the curved surface may lie that it stands for; none at sharp edges.
+        """Distance (m,) [m] from each triangle within which the curved surface that it approximates may lie.
 
-        A third of its height over an edge times the angle there: the depth at the middle of regular triangles on a
-        sphere, and more than that of strips on a cylinder.
+        Zero at sharp edges.
+
+        It is a third of the triangle's height over an edge times the angle there: the depth at the middle of regular
+        triangles on a sphere, and more than that of strips on a cylinder.
         """
         points, place = np.unique(np.round(self.triangles.reshape(-1, 3), SAME), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
@@ -150,11 +157,11 @@ class Obstacles:
 
     @cached_property
     def _put(self) -> dict[bytes, Floats]:
-        """Cache of `over_skin` by the bytes of its points: sights of the same points are computed many times."""
+        """Cache of `over_skin` by the bytes of its points: the same points are tested many times."""
         return {}
 
     def over_skin(self, points: Floats) -> Floats:
-        """Points (n, 3) [m], those inside a body by no more than its triangles leave open put just over it."""
+        """Points (n, 3) [m]; those inside a body by less than its mesh tolerance are moved just above its surface."""
         if (key := points.tobytes()) not in self._put:
             projected = points.copy()
             for i in np.flatnonzero(self.holds(points)):
@@ -167,7 +174,7 @@ class Obstacles:
         return self._put[key]
 
     def encloses(self, points: Floats) -> Bools:
-        """Head inside a closed body, or the tripod under it through something (points (n, 3), [m]), (n,)."""
+        """Flags (n,) of positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
         feet = points.copy()
@@ -191,7 +198,7 @@ def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats
 
 
 def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
-    """A triangle (..., 3, 3) is met by its ray before `length`, (...)."""
+    """Flags (...): a ray meets its triangle (..., 3, 3) before `length`."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
@@ -207,14 +214,14 @@ def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | fl
 
 
 def _normals(triangles: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (m, 3) of triangles, none of one without an area, and areas (m,)."""
+    """Unit normals (m, 3) of triangles, zero for a triangle without area, and areas (m,)."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(cross, axis=1)
     return cross / np.where(size > 0.0, size, 1.0)[:, None], 0.5 * size
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
-    """The point (m, 3) of each triangle that is nearest to a point (3,): straight under it, or on an edge."""
+    """Point (m, 3) of each triangle that is nearest to a point (3,): its foot on the plane, or a point on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     along = np.clip(_dot(gap, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + along[..., None] * edge
@@ -261,7 +268,7 @@ def walls(size: Floats) -> Floats:
 
 
 def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
-    """Obstacles of several sets of triangles."""
+    """Obstacles from several sets of triangles, and a floor height."""
     return Obstacles(np.concatenate([np.zeros((0, 3, 3)), *parts]), floor)
 
 
@@ -271,8 +278,8 @@ def nest_places(
     """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
 
     Their centres are `reach` [m] over the surface, at least `spacing` [m] from each other, and outside all bodies of
-    `around`. The outer side of a `closed` body is found, whatever way its triangles are wound; of an open surface it is
-    that of the normals.
+    `around`. The outer side of a `closed` body is determined for any orientation of its triangles; that of an open
+    surface is the side of the normals.
     """
     drawn, normal = _drawn(body, spacing)
     surface = Obstacles(body)
@@ -288,7 +295,7 @@ def nest_places(
 
 
 def _drawn(body: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Points spread evenly by chance over triangles, and their normals (n, 3)."""
+    """Random points, uniform over the area of triangles, and their normals, both (n, 3)."""
     normal, area = _normals(body)
     rng = stream(0, "nests")
     count = int(np.clip(DENSE * area.sum() / spacing**2, 200, MOST_DRAWN))
@@ -299,7 +306,7 @@ def _drawn(body: Floats, spacing: float) -> tuple[Floats, Floats]:
 
 
 def _flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
-    """Around the foot of a nest the surface lies where the nest needs it, (n,)."""
+    """Flags (n,): the surface around the foot of a nest is flat enough for it."""
     side, other = perpendicular(normal)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
@@ -310,7 +317,7 @@ def _flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> B
 
 
 def _spread(places: Floats, spacing: float) -> Floats:
-    """Places at least `spacing` [m] from each retained place before them."""
+    """Places thinned in their order, so that each is at least `spacing` [m] from all retained ones."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= spacing:
