@@ -1,10 +1,10 @@
-"""Meaning of the numbers of a polar file: unit, zenith or elevation, clockwise or not, metres or millimetres.
+"""Conventions of a polar file: unit, zenith angle or elevation, sense of the azimuth, metres or millimetres.
 
-The data decide and a note reports it, or one sentence asks for a hint; nothing is guessed silently. Two faces
-determine unit and vertical angle at once, because they add up to a full or a half circle. Where there is one
-face, lengths between targets common to two stations decide: they agree in the right unit only. The sense of
-the azimuth is beyond both: the mirror image of a whole network is a network with the same lengths and
-faces. Coordinates or poses from elsewhere are needed for it.
+The data decide and a note reports the decision, or an error asks for a hint; nothing is assumed silently. Two faces
+determine unit and vertical angle, because their readings add up to a full or a half circle. With one face, the lengths
+between targets common to two stations decide: they agree only in the right unit. Neither determines the sense of the
+azimuth: the mirror image of a network has the same lengths and faces. Coordinates or poses from another source are
+needed for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,28 +31,31 @@ Vertical = Literal["zenith", "elevation"]
 Azimuth = Literal["clockwise", "counter-clockwise"]
 Length = Literal["mm", "m"]
 Pose = tuple[Floats, Floats]
-"""Rotation (3, 3) from the station's frame, and place (3,) [m]."""
+"""Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
 CLEARLY = 10.0
-"""Ratio of misfits between the second-best and the best meaning from which the data decide."""
+"""Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
 MIRROR_SHARE = 1e-3
-"""Largest misfit of a mirror image, as a share of the size of the network."""
+"""Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
 MOST_NOTES = 3
 QUICKEST_S, SLOWEST_S = 0.1, 7200.0
-"""[s] Shortest and longest plausible median time from one target to the next; a clock beyond them is questioned."""
+"""Shortest and longest plausible median time [s] between consecutive targets; a question about the clock is asked
+outside them.
+"""
 LEAST_STEPS = 8
 
 
 @dataclass(frozen=True)
 class Hints:
-    """Decisions of a caller on an ambiguous file; None leaves one to the data.
+    """Decisions of the user on an ambiguous file; None leaves a decision to the data.
 
-    `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
-    azimuth; `station` names the set-up of a file that does not; `columns` assigns the columns of a table
-    (``target=Name,azimuth=Hz[gon]``), `setup` is the file with its noise and gauge, `date` the order of dates with
-    strokes. A file that is still growing (`incomplete_tail`) may end inside a row and lack targets of known lengths.
+    `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the azimuth;
+    `station` names the set-up of a file that contains no name; `columns` assigns the columns of a table
+    (``target=Name,azimuth=Hz[gon]``), `setup` is the file with noise and gauge, `date` the order of day and month in
+    dates with slashes. A file that is still growing (`incomplete_tail`) may end inside a row and may lack targets of
+    reference lengths.
     """
 
     angle: Angle | None = None
@@ -72,7 +75,10 @@ NO_HINTS = Hints()
 
 @dataclass(frozen=True)
 class PolarTable:
-    """Numbers as printed: horizontal and vertical angle, distance (n,); indices of station and target (n,) int."""
+    """Polar readings as they are in a file: horizontal and vertical angle, distance, indices of station and target.
+
+    All are (n,).
+    """
 
     station: Ints
     target: Ints
@@ -81,16 +87,19 @@ class PolarTable:
     distance: Floats
 
     def points(self, angle: Angle, vertical: Vertical) -> Floats:
-        """Places (n, 3) in each station's frame, azimuths taken counter-clockwise, in the unit of the distances."""
+        """Coordinates (n, 3) in each station's frame, in the unit of the distances.
+
+        Azimuths are taken as counter-clockwise.
+        """
         upward = self.vertical * FACTOR[angle]
         elevation = np.pi / 2 - upward if vertical == "zenith" else upward
         return from_polar(np.stack([self.distance, self.horizontal * FACTOR[angle], elevation], axis=1))
 
 
 def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle, Vertical, list[str]]:
-    """Unit of the angles and meaning of the vertical one, with a note for what the data decided.
+    """Unit of the angles, kind of the vertical angle, and notes on what the data decided.
 
-    Raises RecordError, asking for a hint, where the data do not decide.
+    Raises RecordError, which asks for a hint, if the data do not decide.
     """
     angles = ANGLES if hints.angle is None else (hints.angle,)
     verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
@@ -109,10 +118,10 @@ def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle,
 
 
 def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
-    """True if every value lies on the circle, and the vertical angles are within the travel of an instrument.
+    """True if every value lies within the circle, and the vertical angles are within the travel of an instrument.
 
-    An elevation beyond the zenith is read on face 2 only; a file that has such, but no target on two faces, holds
-    zenith angles unless the caller says otherwise (`is_declared`).
+    An elevation beyond the zenith occurs on face 2 only. A file with such values, but without a target on two faces,
+    therefore holds zenith angles, unless the kind is declared (`is_declared`).
     """
     circle = CIRCLE[angle]
     horizontal, upward = table.horizontal, table.vertical
@@ -126,7 +135,7 @@ def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declare
 
 
 def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
-    """Pairs of rows, each with the next one of the same station and target."""
+    """Pairs of rows: each row and the next one with the same station and target."""
     order = np.lexsort((np.arange(len(table.station)), table.target, table.station))
     first, next_ = order[:-1], order[1:]
     keep = (table.station[first] == table.station[next_]) & (table.target[first] == table.target[next_])
@@ -134,7 +143,7 @@ def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
 
 
 def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
-    """Number of pairs of rows that are a target on both faces: half a circle between them, vertical angles add up."""
+    """Number of pairs of rows with one target on both faces: azimuths half a circle apart, matching vertical angles."""
     first, other = _same_target(table)
     circle = CIRCLE[angle]
     total = circle if vertical == "zenith" else circle / 2
@@ -145,7 +154,7 @@ def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
 
 
 def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
-    """The meaning under which most repeated targets were seen on two faces, if only one does so."""
+    """Unit and kind of vertical angle under which most repeated targets are on two faces; None if several are equal."""
     counts = [_on_two_faces(table, angle, vertical) for angle, vertical in open_]
     best = int(np.argmax(counts))
     if counts[best] < 2 or sorted(counts)[-2] * CLEARLY > counts[best]:
@@ -154,7 +163,10 @@ def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[t
 
 
 def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
-    """The meaning under which two stations see the same lengths between targets, if only one does so."""
+    """Unit and kind of vertical angle under which two stations see equal lengths between targets.
+
+    None if several do.
+    """
     gaps = [chord_gap(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_]
     if not np.all(np.isfinite(gaps)):
         return None
@@ -165,7 +177,7 @@ def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple
 
 
 def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
-    """Raise RecordError with what to type for the first of the choices, without what they have in common."""
+    """Error that asks the user to choose between conventions; raises RecordError with the option to type."""
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
     hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
     hints += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
@@ -174,7 +186,7 @@ def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle
 
 
 def length_meaning(distance: Floats, hints: Hints) -> tuple[Length, list[str]]:
-    """Unit of the distances: metres where none exceeds what a tracker network measures in millimetres."""
+    """Unit of the distances, with notes: metres if none exceeds the largest value of a tracker network in metres."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
@@ -192,7 +204,10 @@ SENSE_UNKNOWN = (
 def sense_from_points(
     local: Floats, table: PolarTable, targets: Sequence[str], file: Path
 ) -> tuple[Azimuth, list[str]]:
-    """The sense by coordinates of targets in `file`, with notes; raises RecordError where they do not decide."""
+    """Sense of the azimuth by the coordinates of targets in `file`, with notes.
+
+    Raises RecordError if they do not decide.
+    """
     points = read_points(file, strict=False)
     place = {name: i for i, name in enumerate(targets)}
     places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
@@ -207,10 +222,10 @@ def sense_from_points(
 
 
 def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Floats]) -> Azimuth | None:
-    """The sense of the azimuth under which a station's targets fit known points (by target index) rigidly.
+    """Sense of the azimuth under which the targets of a station fit known points (by target index) rigidly.
 
-    `local` (n, 3) [m] are the targets with the azimuth taken counter-clockwise. None where neither sense
-    fits ten times better, as with points in one plane.
+    `local` (n, 3) [m] are the targets with counter-clockwise azimuth. None if neither sense fits ten times better, such
+    as for points in one plane.
     """
     votes = []
     for s in np.unique(table.station):
@@ -225,7 +240,10 @@ def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Fl
 
 
 def _misfits(source: Floats, goal: Floats) -> list[float]:
-    """[m] Median misfit of points (n, 3) and of their mirror image, moved rigidly to others; 1 where none fits."""
+    """Median misfits [m] of points (n, 3) and of their mirror image after rigid alignment to others.
+
+    1 if no alignment exists.
+    """
     misfits = []
     for side in (1.0, -1.0):
         image = source * [1.0, side, 1.0]
@@ -238,7 +256,7 @@ def _misfits(source: Floats, goal: Floats) -> list[float]:
 
 
 def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) -> Azimuth | None:
-    """The sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
+    """Sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
     misfit = []
     for side in (1.0, -1.0):
         world = np.full_like(local, np.nan)
@@ -252,7 +270,7 @@ def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) 
 
 
 def _spread_between_stations(world: Floats, table: PolarTable) -> float:
-    """Median distance between sightings of a target from different stations; NaN where none has two."""
+    """Median distance between the positions of a target from different stations; NaN without such a target."""
     places_of: dict[int, list[Floats]] = {}
     for cloud in clouds_of(world, table.station, table.target).values():
         for target, point in cloud.items():
@@ -268,7 +286,7 @@ def _vote(votes: list[int]) -> Azimuth | None:
 
 
 def pace(recording: Recording) -> tuple[str, ...]:
-    """Question about the clock of a recording: turning from one target to the next takes seconds to minutes."""
+    """Question about the clock of a recording whose median time between targets is implausible; empty otherwise."""
     turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     steps = np.abs(np.diff(recording.time))[turned]
     steps = steps[np.isfinite(steps)]
@@ -285,7 +303,7 @@ def pace(recording: Recording) -> tuple[str, ...]:
 
 
 def vertical_pointings(recording: Recording) -> tuple[str, ...]:
-    """Note on pointings along the vertical axis, of which a network uses the distances alone."""
+    """Note on pointings along the vertical axis, of which a network uses only the distances."""
     rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
@@ -297,9 +315,9 @@ def vertical_pointings(recording: Recording) -> tuple[str, ...]:
 
 
 def contradictions(recording: Recording) -> tuple[str, ...]:
-    """Contradictions of set-ups or their rough places to the sense of the azimuths: only a mirror image fits.
+    """Contradictions between set-ups, or rough positions, and the sense of the azimuths: only a mirror image fits.
 
-    None for coordinates in one plane, or a floor plan that fits neither.
+    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction.
     """
     local = from_polar(recording.readings)
     table = PolarTable(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
@@ -319,7 +337,7 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
 
 
 def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
-    """Each station that is the mirror image of the one before it with which it shares most targets."""
+    """Pairs of stations that are mirror images: each station and the previous one with which it shares most targets."""
     clouds = clouds_of(local, recording.station, recording.target)
     pairs = []
     for s, cloud in clouds.items():
@@ -336,7 +354,7 @@ def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]
 
 
 def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, Pose]:
-    """Rough poses of stations by the floor plan: place and direction of zero."""
+    """Rough poses of stations by index, from the floor plan: position and direction of azimuth zero."""
     poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)

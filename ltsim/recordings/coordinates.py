@@ -1,10 +1,10 @@
-"""Lists of coordinates: the reader of names with x, y, z for every command that takes such a file.
+"""Lists of coordinates: the reader of names with x, y, z that every command uses for such a file.
 
 `read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
-``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations stand in
-``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line is a name and three
-numbers, which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance may
-follow, as SpatialAnalyzer writes them.
+``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations are in
+``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line has a name and three
+numbers, after which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance
+may follow, as SpatialAnalyzer writes them.
 
 `read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` in the same folder
 (the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or results of gama-local (XML).
@@ -39,15 +39,15 @@ from ltsim.recordings.xml import Node, banded, parse
 
 AXES = "xyz"
 SYMMETRIC = 1e-6
-"""Largest asymmetry of a covariance that rounding explains, relative to its variances."""
+"""Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
 DEFINITE = -1e-9
-"""Smallest eigenvalue of correlations that rounding explains."""
+"""Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
 LARGEST_M = 500.0
-"""Largest coordinate of a list without a unit that is interpreted as metres."""
+"""Largest coordinate up to which a list without a unit is interpreted as metres."""
 GRID = 1e6
-"""Numbers as large as these are coordinates of a national grid, in metres."""
+"""Coordinate from which numbers are interpreted as a national grid, in metres."""
 GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Words of surveyors' lists, which are in metres where they state no unit."""
+"""Column titles of surveyors' lists, which are in metres if they state no unit."""
 WIDTHS = (4, 7, 8, 16, 17)
 EXPECTED = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
@@ -57,35 +57,37 @@ EXPECTED = (
 
 @dataclass(frozen=True)
 class Points:
-    """A list of n named points, in the order of its file."""
+    """List of n named points, in the order of its file."""
 
     names: tuple[str, ...]
     points: Floats
-    """(n, 3) [m]; NaN where the list leaves a coordinate out."""
+    """Coordinates (n, 3) [m]; NaN for a coordinate that the list does not give."""
     covariance: Floats
-    """(n, 3, 3) [m^2]; NaN where none is given."""
+    """Covariance of each point, (n, 3, 3) [m^2]; NaN if not given."""
     notes: tuple[str, ...] = ()
     further: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """(n,) texts of each further column by its header."""
+    """Texts of each additional column by its header, n each."""
     lines: tuple[int, ...] = ()
-    """(n,) line of the file that each stands in."""
+    """Line number of each point in the file."""
     contradictory: int = 0
-    """Rows that list a point of the same name with other coordinates, and are left out."""
+    """Number of rows that repeat a name with other coordinates and are ignored."""
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (n, 3) [m]; NaN where none is given."""
+        """Standard deviations (n, 3) [m]; NaN if not given."""
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
     @property
     def by_name(self) -> dict[str, Floats]:
-        """Coordinates (3,) [m] of the points that have all three."""
+        """Coordinates (3,) [m] of each point that has all three, by name."""
         whole = np.asarray(np.isfinite(self.points).all(axis=1))
         return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
 
 
 def read_points(path: str | Path, *, strict: bool = True) -> Points:
-    """Read a list of points: without a unit in the header metres if none reaches 500, which a note reports.
+    """List of points from a file.
+
+    Without a unit in the header it is in metres if no coordinate reaches 500, and a note reports that.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
 
 
 def recognises(head: str) -> bool:
-    """True if the first lines of a file are those of a list of points without a header, or its header."""
+    """True if the first lines of a file are a list of points without a header, or the header of one."""
     rows = rows_of_head(head)
     header = _header_of(rows)
     body = [row for row in rows[0 if header is None else header[0] :] if not row.comment]
@@ -118,12 +120,12 @@ def recognises(head: str) -> bool:
 
 
 def _filled(row: Row) -> Sequence[str]:
-    """Fields without the empty one that a separator at the end of the line makes."""
+    """Fields of a row without the empty one after a separator at the end of the line."""
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
 def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
-    """Columns of lines of a name and numbers; None where the first ones are something else."""
+    """Number of the first row and columns of a list without header (name and numbers); None for other content."""
     first = next((row for row in sheet.rows if not row.comment), None)
     if first is None or not all(map(cells.is_value, _filled(first)[1:])):
         return None
@@ -137,7 +139,7 @@ def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
 
 
 def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
-    """The first row that names coordinates: the place of the one below it, and its columns."""
+    """Number of the row after the header, and the columns that the header names."""
     for place, row in enumerate(rows):
         if not count_of_roles(row.fields) or row.values:
             continue
@@ -158,7 +160,7 @@ def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
 
 
 class _List:
-    """The rows of a sheet from `start` on, by its columns."""
+    """Rows of a sheet from row `start` on, with the meaning of its columns."""
 
     def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
@@ -168,7 +170,7 @@ class _List:
         self.name = next(c for c in columns if c.role == "target")
 
     def points(self, *, strict: bool) -> Points:
-        """The points that it holds."""
+        """Points in these rows."""
         self.sheet.check_whole(self.width)
         listed: dict[str, tuple[Row, list[float]]] = {}
         notes = []
@@ -196,7 +198,7 @@ class _List:
         return Points(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
 
     def _values(self, row: Row) -> tuple[str, list[float]]:
-        """Name and numbers of one row; NaN where a cell is empty."""
+        """Name and numbers of one row; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
         if len(_filled(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
@@ -210,7 +212,7 @@ class _List:
         return where.name(plain(row.cell(self.name.place)), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factor of each number to metres (square metres for covariances), and notes on decisions."""
+        """Factors from each number to metres (square metres for covariances), and notes on decisions."""
         axes = [c for c in self.numbers.values() if c.role in PLACE]
         largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
         declared = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
@@ -222,7 +224,7 @@ class _List:
 
 
 def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
-    """The covariance (n, 3, 3) [m^2] that a list states: in full, by axis, or one for all."""
+    """Covariance (n, 3, 3) [m^2] from a full matrix, standard deviations by axis, or one for all axes."""
     if "covariance 0" in numbers:
         full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
@@ -235,27 +237,27 @@ def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Points of one epoch along the d axes that were measured."""
+    """Points of one epoch, along the d axes that were measured, with their joint covariance."""
 
     title: str
     names: tuple[str, ...]
-    """(T,)."""
+    """Names of the T points."""
     axes: str
-    """The measured ones of x, y, z."""
+    """Measured axes, a selection of `xyz`."""
     points: Floats
-    """(T, 3) [m]: 0 along the other axes."""
+    """Coordinates (T, 3) [m]; 0 along axes that were not measured."""
     covariance: Floats
-    """Point by point, axis by axis, (T d, T d) [m^2]."""
+    """Joint covariance (T d, T d) [m^2], ordered point by point and axis by axis."""
     notes: tuple[str, ...] = ()
 
     @property
     def along(self) -> Ints:
-        """(d,) numbers of the measured axes."""
+        """Indices (d,) of the measured axes."""
         return np.array([AXES.index(axis) for axis in self.axes])
 
 
 def holds_coordinates(path: Path) -> bool:
-    """True if a file is one of `read_coordinates`."""
+    """True if `read_coordinates` reads this file."""
     if not path.is_file():
         return False
     with path.open("rb") as stream:
@@ -264,12 +266,12 @@ def holds_coordinates(path: Path) -> bool:
 
 
 def read_coordinates(path: Path) -> Coordinates:
-    """The coordinates of one epoch with their covariance.
+    """Coordinates of one epoch with their covariance, from a file.
 
     Raises
     ------
     RecordError
-        One sentence: what is wrong, and where.
+        The error and its place in the file.
     """
     if not path.exists():
         raise RecordError("there is no such file", file=path)
@@ -292,7 +294,7 @@ def read_coordinates(path: Path) -> Coordinates:
 
 
 def _from_gama(path: Path) -> Coordinates:
-    """Adjusted points and the upper band of their covariance [mm^2]."""
+    """Adjusted points of gama-local with their covariance, from its upper band [mm^2]."""
     parts = {node.tag: node for node in parse(path).inside("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= parts.keys():
         raise RecordError("holds no <adjusted> points with their <cov-mat>", file=path)
@@ -322,7 +324,7 @@ def _number(cell: Node) -> float:
 
 
 def _from_list(path: Path) -> Coordinates:
-    """List of points along its axes, with the covariance in the file next to it or in its columns."""
+    """Points of a list along its axes; their covariance is in a companion file or in columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
     axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
@@ -349,7 +351,7 @@ def _from_list(path: Path) -> Coordinates:
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
-    """The content of ``NAME.covariance.csv``: a covariance [m^2] of coordinates such as ``TARGET.x``, in mm^2."""
+    """Content of ``NAME.covariance.csv``: a covariance [m^2] converted to mm^2, with headers such as ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = list(map(guarded, coordinates))
@@ -360,7 +362,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
 
 
 def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
-    """The entries of a covariance, its coordinates by name in any order."""
+    """Covariance matrix from a file whose coordinates are named and may be in any order."""
     sheet = sheets_of(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.comment]
     names = list(map(plain, first.fields[1:]))

@@ -1,4 +1,4 @@
-"""Plumb lines of a round earth, where sights of levelled set-ups are long enough to show them."""
+"""Curvature of the earth: directions of the vertical of set-ups whose lines of sight are long enough to be affected."""
 
 import numpy as np
 
@@ -6,15 +6,16 @@ from ltsim.core.units import EARTH, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 NOTICEABLE = 0.1
-"""Curvature of the earth over a sight, in the noise of its elevation, from which it is modelled."""
+"""Angle of the earth's curvature over a line of sight, in sigma of its elevation, from which it is modelled."""
 
 REFRACTION = 0.13, 0.1
-"""Coefficient of refraction near the ground, radius of the earth over that of the ray, and its standard deviation
-(Gauss's mean value; Brunner 1984, Geodetic Refraction)."""
+"""Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
+deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
+"""
 
 
 def on_round_earth(recording: Recording) -> Recording:
-    """Recording with plumb lines that differ by place (`curved`) and refraction, unless its set-up sets them itself.
+    """Recording with position-dependent verticals (`curved`) and refraction, unless its set-up declares them itself.
 
     Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
     `NOTICEABLE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.

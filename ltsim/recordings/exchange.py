@@ -1,4 +1,4 @@
-"""Reading a recording in whatever format it comes, writing it in those that others read."""
+"""Reader and writer of recordings in any supported format."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 
 RecordingSource = Recording | str | Path
-"""A recording, or a file or folder that holds one."""
+"""Recording, or the file or folder that contains one."""
 HEAD = 16_384
 LEAST_POSES = 2
-"""Contradictory rows of a list of points that make it one of positions of a moving target."""
+"""Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST = "names and coordinates, which are refused as a recording"
@@ -33,7 +33,7 @@ Write = Callable[[Recording, Path], None]
 
 @dataclass(frozen=True)
 class Format:
-    """File format: recognition by the first characters, reader, and writer if there is one.
+    """File format: recognition by the first characters, reader, and writer (if there is one).
 
     `suffixes` decide only between formats that both recognise a file.
     """
@@ -81,7 +81,7 @@ FORMATS: tuple[Format, ...] = (
 
 
 def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
-    """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
+    """Recording from a file or folder in any supported format.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     format : str, optional
         Name of the format; default by content, then by suffix.
     hints : Hints, optional
-        What an ambiguous file means: `ltsim.recordings.Hints`.
+        Decisions on an ambiguous file.
 
     Raises
     ------
     RecordError
-        One sentence: what is wrong and where, or which hint is wanted.
+        The error and its place, or the hint that is needed.
     """
     path = Path(path)
     hints = hints or NO_HINTS
@@ -110,7 +110,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
 
 
 def is_recording(path: Path) -> bool:
-    """True if a file or folder is in one of the formats known here."""
+    """True if a file or folder is in one of the supported formats."""
     try:
         recognised(path)
     except RecordError:
@@ -119,14 +119,14 @@ def is_recording(path: Path) -> bool:
 
 
 def recording_of(source: RecordingSource) -> Recording:
-    """The recording itself, read where a path was given; raises RecordError where it is neither."""
+    """Recording of a source, read from its path if necessary; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
 
 
 def recognised(path: Path) -> Format:
-    """The format of a file or folder; raises RecordError when nothing is there, or no format fits."""
+    """Format of a file or folder; raises RecordError if it does not exist or has no supported format."""
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
     if not (path / native.OBSERVATIONS).is_file() and (inside := sorted(path.glob(f"*/{native.OBSERVATIONS}"))):
@@ -146,9 +146,9 @@ def recognised(path: Path) -> Format:
 
 
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
-    """Write a recording in one of the formats that can be written.
+    """Export of a recording to one of the formats with a writer.
 
-    Raises RecordError when the format cannot hold it or the place cannot be written; nothing half-written stays behind.
+    Raises RecordError if the format cannot represent it or the path cannot be written; no partial file remains.
     """
     able = tuple(f for f in FORMATS if f.write is not None)
     writer = _named(format, able).write

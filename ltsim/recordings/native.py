@@ -63,15 +63,15 @@ OTHERS = ("k", "f", "pa", "bar", "inch")
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if this is a folder, or its table of observations."""
+    """True for a recording folder or its `observations.csv`."""
     return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
 
 
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read a recording folder (or the `observations.csv` in it); raises RecordError.
+    """Recording of a folder (or of the `observations.csv` in it); raises RecordError.
 
-    Of a recording that is still growing (`hints.incomplete_tail`) a last row without an end is left out, and reference
-    lengths may lack their targets. Azimuths that `hints` says to be clockwise are turned over.
+    For a recording that is still growing (`hints.incomplete_tail`) an incomplete last row is ignored, and targets of
+    reference lengths may be missing. Azimuths that `hints` declares clockwise are reversed.
     """
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
@@ -84,7 +84,7 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
-    """Header and rows, all of one length."""
+    """Header and rows of the table, all of equal length."""
     lines = read_lines(path)
     if lines[-1] and incomplete_tail:
         lines = lines[:-1]
@@ -110,7 +110,7 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
 
 
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
-    """A recording of the header and rows of its table; `folder` is named in errors."""
+    """Recording from the header and rows of its table; `folder` is named in errors."""
     file = folder / OBSERVATIONS
     header = list(map(plain, rows[0]))
     _check_header(header, file)
@@ -150,7 +150,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
-    """Every required column once, none in another unit."""
+    """Check that every required column occurs once and in the right unit."""
     where = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
         raise where.error("the header holds ';' or tabs, expected commas between columns")
@@ -183,7 +183,7 @@ def _whole(column: list[str], where: SourceLocation, bounds: tuple[int, int]) ->
 
 
 def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) -> Floats:
-    """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
+    """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
     low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
     filled = [i for i, text in enumerate(column) if text or not optional]
@@ -202,7 +202,7 @@ def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) 
 
 
 def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
-    """Numeric columns as covariates, the others as labels."""
+    """Additional columns: numeric ones as covariates, the others as labels."""
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
@@ -234,7 +234,7 @@ def _check_gauge(recording: Recording, file: Path) -> None:
 
 
 def _check_smrs(recording: Recording, folder: Path) -> None:
-    """Check of SMRs with radii: every pointing names one of them, and its nest has a normal if it needs one."""
+    """Check of SMRs with radii: every pointing has one of them, and its nest has a normal where one is needed."""
     excess_radii(recording, folder / SETUP)
     names = smrs_of(recording)
     if recording.setup.reflectors and "" in names:
@@ -245,7 +245,7 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _idle_settings(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: stations, marks and points that nothing reaches, an idle radius or sheet."""
+    """Notes on settings without effect: stations, marks and points without pointings, unused radii or data sheets."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -286,7 +286,7 @@ def _near(name: str, names: Iterable[str]) -> str:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as a folder; both files appear whole or not at all.
+    """Writing of a recording as a folder; both files are written completely or not at all.
 
     Raises RecordError when it holds what could not be read back, or the folder cannot be written.
     """
@@ -296,7 +296,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 
 def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
-    """The files of a recording's folder, by name; `path` is named in errors.
+    """Contents of the files of a recording's folder, by name; `path` is named in errors.
 
     Raises RecordError when it holds names or values that could not be read back.
     """
@@ -328,7 +328,10 @@ def table_of(recording: Recording) -> list[list[str]]:
 
 
 def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
-    """Values in `unit`: `digits` decimals where they say it exactly, otherwise all digits; empty for NaN."""
+    """Numbers in `unit` as texts: with `digits` decimals if they are exact then, otherwise with all digits.
+
+    Empty for NaN.
+    """
     there = np.isfinite(values)
     numbers = (values[there] / unit).tolist()
     texts = list(map(repr, numbers))

@@ -1,4 +1,4 @@
-"""A recording at a glance: what a surveyor checks against the field book before anything is computed."""
+"""Summary of a recording, for a check against the field book before any computation."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ MOST_NAMED = 6
 
 
 def summary(recording: Recording) -> dict[str, str]:
-    """Set-ups, rounds, faces, readings, heights, time, noise and known values of a recording, in words by topic."""
+    """Set-ups, rounds, faces, readings, heights, time, noise and reference values of a recording, as text by topic."""
     topics = {
         "set-ups": _set_ups(recording),
         "pointings": _pointings(recording),
@@ -98,7 +98,7 @@ def _noise(recording: Recording) -> str:
 
 
 def noise_words(noise: Noise) -> str:
-    """The noise of an instrument as a data sheet writes it."""
+    """Noise of an instrument as text, in the form of a data sheet."""
     constant = f"{1e3 * noise.distance_mm:.3g} um" if noise.distance_mm < 0.1 else f"{noise.distance_mm:.3g} mm"
     return (
         f"{constant} + {noise.distance_ppm:.3g} ppm, {noise.azimuth_arcsec:.3g} arcsec across, "
@@ -118,7 +118,7 @@ def _reference_values(recording: Recording) -> str:
 
 
 def _span(values: Floats | Sequence[float], form: str) -> str:
-    """The smallest and the largest of numbers."""
+    """Smallest and largest of some numbers, as text."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     low, high = (format(int(v) if form == "d" else v, form) for v in (finite.min(), finite.max()))

@@ -1,4 +1,4 @@
-"""Input files of CERN's LGC (``.lgc``, ``.lgc2``).
+"""Format: input files of CERN's LGC (``.lgc``, ``.lgc2``).
 
 Understood are points (``*CALA``, ``*POIN``, ``*VXY`` and its kin, ``*PDOR``) and what observes them (``*OBSXYZ``),
 polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
@@ -73,22 +73,22 @@ class _File:
 
     @property
     def station(self) -> str:
-        """The set-up that was declared last."""
+        """Set-up that was declared last."""
         return next(reversed(self.setups), "")
 
     def stand(self, setup: _SetUp) -> None:
-        """A further set-up; one on a point that had one gets a number."""
+        """Addition of a set-up; a repeated set-up on a point gets a number."""
         count = sum(s.point == setup.point for s in self.setups.values())
         self.setups[numbered(setup.point, count)] = setup
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True where a file begins like an LGC file."""
+    """True if a file begins like an LGC file."""
     return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", head, re.MULTILINE) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an LGC input file.
+    """Recording of an LGC input file.
 
     Raises RecordError for a malformed line, an instrument or target that is not declared, or a file without ``*END``.
     """
@@ -116,7 +116,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _lines(file: _File) -> Iterator[Words]:
-    """Words of every line that says something; comments after % and $ are dropped."""
+    """Words of every line that is not empty; comments after % and $ are dropped."""
     for i, line in enumerate(read_lines(file.path, liberal=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
@@ -154,7 +154,10 @@ def _begin_setup(rest: Words, file: _File) -> None:
 
 
 def _begin_set(rest: Words, file: _File) -> None:
-    """An orientation: the first of a set-up is its own, a further one makes a further set-up on the same point."""
+    """Begin of an orientation.
+
+    The first one of a set-up belongs to it, a further one creates another set-up on the same point.
+    """
     if not file.setups:
         raise rest.where.error("*V0 without a set-up (*TSTN) before it")
     options, name = rest.options(0), file.station
@@ -168,7 +171,7 @@ def _begin_set(rest: Words, file: _File) -> None:
 
 
 def _line(keyword: str, words: Words, file: _File) -> bool:
-    """A line of the current block; False where the block is of no use here."""
+    """Processing of a line of the current block; returns False if blocks of this kind are not supported."""
     if keyword in ("TITR", ""):
         file.title += words.tokens
     elif keyword in POINTS:
@@ -210,7 +213,7 @@ def _observation(keyword: str, words: Words, file: _File) -> None:
 
 
 def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float:
-    """Reading [m, rad]: azimuth counter-clockwise, elevation instead of the zenith angle."""
+    """Reading [m, rad] with counter-clockwise azimuth, and elevation in place of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
     if kind == "elevation":
@@ -255,7 +258,7 @@ def _finished(file: _File) -> Recording:
 
 
 def _learn(file: _File) -> None:
-    """Observed coordinates of the points that are not fixed already."""
+    """Use of the observed coordinates of points that are not fixed."""
     for name, place, covariance in file.placed:
         if name not in file.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
@@ -267,25 +270,25 @@ def _learn(file: _File) -> None:
 
 @dataclass(frozen=True)
 class _Plane:
-    """The plane that touches the reference in the middle of the network: `middle` (2,) [m] in plan."""
+    """Tangent plane of the curved reference in the middle of the network: `middle` (2,) [m] in plan."""
 
     middle: Floats
     curved: bool
 
     @classmethod
     def of(cls, points: list[DeclaredPoint], curved: str) -> _Plane:
-        """Plane around the median of the points in use; those at 0, 0 are place-holders."""
+        """Plane around the median of the points in use; points at 0, 0 are placeholders."""
         placed = [point.place[:2] for point in points if not point.is_placeholder]
         return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
 
     def place(self, place: Floats) -> Vector:
-        """Coordinates [mm] in the plane."""
+        """Coordinates [mm] of a place in the plane."""
         x, y, height = place.tolist()
         drop = float(np.sum((place[:2] - self.middle) ** 2)) / (2 * EARTH) if self.curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """Keys of a set-up over a point: its place and plumb line."""
+        """Keys of a set-up over a point: its place and direction of the vertical."""
         keys: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
         if levelled:
             keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}

@@ -1,8 +1,8 @@
-"""Set-ups and targets as surveyors' tables hold them.
+"""Set-ups and targets in surveyors' tables: names of one target that differ, occupations, heights above marks.
 
-One target has names that differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`); set-ups stand over marks that are
-targets too, with a circle that each round turns anew. Rows without point names, or with one for all, are positions of a
-target that moves (a robot, a T-MAC).
+The name of one target may differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over marks that are
+targets too, with a circle that is rotated between rounds. Rows without point names, or with one for all, are positions
+of a moving target (a robot, a T-MAC).
 """
 
 import re
@@ -26,15 +26,17 @@ from ltsim.recordings.tables.header import HEIGHTS, HORIZONTAL, PLACE, VERTICAL
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, codes
 
 SAME_SHARE = 3e-4
-"""Share of the largest length by which rows at one place differ: 1 mm at 3 m, more than a robot repeats."""
+"""Largest distance between rows at one position, relative to the largest length: 1 mm at 3 m, more than the
+repeatability of a robot.
+"""
 SAME_ANGLE, SAME_RADIAN = 0.02, SAME_SHARE
-"""[deg or gon, rad] Tolerance between directions to the same place."""
+"""Tolerances [deg or gon, rad] between directions to the same position."""
 RADIANS = 7.0
 LEAST_ROWS = 3
 
 
 def named_by_place(table: PointingTable, file: object) -> PointingTable:
-    """The table; where its rows have no names, or one name at several places, every place is a target of its own.
+    """Table in which every position is a separate target, if rows have no names or one name has several positions.
 
     Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
     """
@@ -58,7 +60,7 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
 
 
 def _places(table: PointingTable) -> Ints:
-    """Number of the place (n,) of each row, in the order of their first rows."""
+    """Number (n,) of the position of each row, in the order of their first rows."""
     numbers = table.pointings.numbers
     printed = np.stack([as_floats(digits) for digits in numbers.values()], axis=1)
     largest = np.nanmax(np.abs(printed), axis=0).tolist()
@@ -88,21 +90,25 @@ def _tolerance(role: str, largest: float, lengths: float) -> float:
 MOST_SHOWN = 4
 LEAST_LINES = 4
 CLEARLY = 0.5
-"""Lines seen to and fro close without the heights within this share of their misses with them."""
+"""Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
+are not applied.
+"""
 TURNED = 1e-3
-"""[rad] Smallest difference between the directions of two rounds that shows a turned circle."""
+"""Smallest difference [rad] between the directions of two rounds that counts as a rotated circle."""
 BEYOND_NOISE = 6.0
-"""Standard deviations that say the same where the noise of the directions is stated."""
+"""Smallest difference in standard deviations of the directions, if given, that counts as a rotated circle."""
 CLOSES_M = 0.02
-"""[m] Lines seen to and fro between heads on forced centring close so well; over marks they miss by decimetres."""
+"""Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
+decimetres.
+"""
 Key = tuple[str, ...]
 
 
 def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
-    """Target of each pointing by one name for all set-ups, and what was changed.
+    """Target name of each pointing, common to all set-ups, and notes on the changes.
 
-    A set-up's own name before or after those of all its targets is taken away where set-ups then share targets that
-    they did not share before. Names that differ in case, blanks or leading zeros are one where no set-up has both.
+    The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
+    Names that differ in case, blanks or leading zeros are one name if no set-up has both.
     """
     sightings, row = codes(zip(printed.station, printed.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
@@ -132,7 +138,7 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
 
 
 def _without(station: str, target: str) -> str:
-    """The name of a target without that of its set-up; empty where it does not hold it."""
+    """Name of a target without the name of its set-up; empty if it does not contain it."""
     if len(target) > MAX_NAME:  # which is refused later
         return ""
     match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
@@ -149,12 +155,12 @@ def _folded(name: str) -> str:
 
 
 def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> tuple[set[str], list[str]]:
-    """Occupations of one mark, and rounds whose circle was turned, become set-ups of their own, in place.
+    """Separation (in place) of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
 
-    An occupation is what has one identifier in a column of set-ups or, where there is none, one day in a column of
-    dates without a clock. `sigma` (n,) [rad] are standard deviations of the azimuths, NaN where none is stated.
+    An occupation has one identifier in a column of set-ups or, without such a column, one day in a column of dates.
+    `sigma` (n,) [rad] are standard deviations of the azimuths, NaN if not given.
 
-    Returns the names of set-ups that stand where others stand (rounds of one occupation), and what was done.
+    Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
     """
     printed = table.pointings
     occupations: Sequence[Key]
@@ -190,7 +196,7 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
 
 
 def _occupations(table: PointingTable) -> list[str]:
-    """Occupation of its mark that each pointing belongs to."""
+    """Occupation of the mark to which each pointing belongs."""
     printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
         return printed.texts(column.title)
@@ -203,8 +209,8 @@ def _occupations(table: PointingTable) -> list[str]:
 def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
     """True if the directions of a round differ from the first ones to the same targets in its occupation.
 
-    By their median, so that no single wrong reading turns a circle; by more than `TURNED`, or than the noise that the
-    table states makes likely.
+    The median difference counts, so that a single gross error has no effect. It must exceed `TURNED`, or `BEYOND_NOISE`
+    times the noise in the table.
     """
     printed = table.pointings
     first: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -225,11 +231,11 @@ def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimut
 def over_marks(
     table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
-    """Set-ups over the targets of their names, and levelled ones.
+    """Set-up with stations over the targets of the same names, and levelled stations.
 
-    Set-ups with heights over their marks are levelled. Without heights, set-ups stand over the targets of their names
-    where lines seen to and fro close, or are seen in plan alone; those that are `rounds` of one occupation stand in one
-    place.
+    Stations with heights above their marks are levelled. Without heights, stations are over the targets of their names
+    if lines measured to and fro close, or are measured in plan alone; `rounds` of one occupation have the same
+    position.
     """
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
@@ -260,9 +266,9 @@ def over_marks(
 
 
 def _closes(table: PointingTable, readings: Floats) -> bool:
-    """True if lines seen to and fro between marks close in length, and in height where heights were measured.
+    """True if lines measured to and fro between marks agree in length, and in height if heights were measured.
 
-    By their median, without any heights of instruments and targets, on a round earth.
+    The median counts, without heights of instruments and targets, and with the curvature of the earth.
     """
     level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH)
@@ -284,7 +290,10 @@ def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
 
 
 def occupied(table: PointingTable) -> dict[str, list[str]]:
-    """Occupations of marks that each pointing joins, where no column says so: those of one day, in one role."""
+    """Occupations of marks that each pointing connects: those of one day, in one role.
+
+    They apply to a table without a column of occupations.
+    """
     printed = table.pointings
     days = printed.moment if table.column(("time",)) is None else [""] * len(printed)
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
@@ -293,9 +302,9 @@ def occupied(table: PointingTable) -> dict[str, list[str]]:
 
 
 def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note for readings that are those between the heads themselves, whatever heights stand beside them.
+    """Note on readings that refer to the heads themselves, so that heights in the table are not applied.
 
-    Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
+    Lines measured to and fro decide: their height differences cancel either with the heights (n, 2) [m] of instrument
     and target, or without them.
     """
     heights = np.nan_to_num(height)
