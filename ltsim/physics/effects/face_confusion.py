@@ -35,11 +35,11 @@ class FaceConfusion(Mistake):
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
-        """Either face of every station."""
+        """Possible blunders: either face of every station."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
 
     def done(self, sightings: Sightings) -> Sightings:
-        """The other face was measured."""
+        """Sightings with the other face in the affected rows."""
         confused = (self.mask(sightings) > 0) & (sightings.face == self.face)
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 

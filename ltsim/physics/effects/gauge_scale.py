@@ -7,7 +7,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class GaugeScale(Effect):
-    """Scale of the gauge: its temperature or its coefficient of expansion is wrong.
+    """Scale error of the gauge: its temperature or its expansion coefficient is wrong.
 
     True length = stated length (1 + s); a stated length changes by -s L. No reading changes.
 

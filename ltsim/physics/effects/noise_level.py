@@ -5,11 +5,11 @@ from ltsim.physics.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.scene.sightings import Sightings
 
 LEAST = 0.01
-"""Smallest factor on a variance."""
+"""Smallest permitted factor on a variance."""
 
 
 class NoiseLevel(NoiseEffect):
-    """Noise level: all readings of a kind scatter more, or less, than the set-up states.
+    """Noise level: all readings of a kind have a larger or smaller standard deviation than declared.
 
     variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
 

@@ -47,7 +47,7 @@ class Outlier(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every reading of a recording of ordinary size."""
+        """Candidates for every reading of a recording of moderate size."""
         if len(sightings) > MOST_ROWS:
             return []
         places = [

@@ -4,7 +4,7 @@ from ltsim.physics.effects.places import Drift
 
 
 class RangeDrift(Drift):
-    """Drift of the range zero: the electronics and the head warm up.
+    """Drift of the range zero: electronics and head warm up.
 
     Delta_d = r t (linear over the recording, or anew in every visit) or A exp(-t / tau) (warm-up).
 

@@ -5,7 +5,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class StationWeather(Effect):
-    """Wrong weather at one station: a thermometer in the sun, a pressure in another unit.
+    """Wrong weather values at one station: a thermometer in the sun, a pressure in another unit.
 
     Delta_d = d s_i at station i: 0.955 ppm a kelvin that the used temperature is too low, -0.268 ppm a hPa that the
     used pressure is too low. That station sees the whole mesh larger or smaller.

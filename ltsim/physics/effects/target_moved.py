@@ -16,7 +16,7 @@ STEP, RATE = 60 * MICROMETRE, 40 * FACTOR["um/h"]
 
 @dataclass(frozen=True)
 class TargetMoved(TargetMotion):
-    """Moved target: a nest is knocked, or its support creeps.
+    """Moved target: a nest was displaced suddenly, or its support creeps.
 
     step: P(t) = P + H(t - t_m) D. creep: P(t) = P + v (t - t_0), t_0 the first pointing. The parameters are the motion
     of the target in the network frame (no correction of a reading), the same as seen from all stations.
@@ -47,7 +47,7 @@ class TargetMoved(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every target with a step between any two of its visits, and with a creep."""
+        """Candidates for every target: a step between any two visits, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
             steps = visit_change_times(sightings, t, most=MOST_STEPS)
@@ -56,7 +56,7 @@ class TargetMoved(TargetMotion):
         return candidates
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """Times of a step: gaps between pointings around this one, including gaps within the visits of a station."""
+        """Steps in neighbouring gaps between pointings, including gaps within the visits of a station."""
         times = sightings.time[self.mask(sightings) > 0]
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)] if self.kind == "step" else []
 

@@ -7,7 +7,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class Turbulence(NoiseEffect):
-    """Turbulence: the air boils, and readings scatter more the farther they reach.
+    """Turbulence: the refractive index fluctuates, and the scatter of readings grows with the range.
 
     var(D_t) and var(D_v) grow by C d^3, var(d) by C_r d: a change of the noise, not of its mean.
 

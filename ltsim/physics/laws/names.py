@@ -1,4 +1,4 @@
-"""Names that the catalogue has for laws: a vertical index that decays is `index-drift`; laws that look like cards."""
+"""Names of catalogue effects that laws are equivalent to, such as `index-drift` for a decaying vertical index."""
 
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressors import CLOCKS
@@ -10,16 +10,17 @@ NAMED = {
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Carriers, and the covariates that they follow, that the catalogue has a card for."""
+"""Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
 CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Carriers that a wave of a circle's graduation has."""
+"""Responses of the graduation of a circle, by circle."""
 HARMONIC, GRADUATED = 2.5, 20.0
-"""Periods a turn from which a wave of a circle is a harmonic beyond the second, which is estimated anyhow, and from
-which it is one of its graduation."""
+"""Periods per turn from which a wave of a circle is a harmonic of higher than second order (lower orders are in the
+ordinary calibration), and from which it is an error of the graduation.
+"""
 
 
 def name_of(law: Law) -> str:
-    """The name that the catalogue has for a law; `unknown` where it has none."""
+    """Catalogue name of a law; `unknown` if there is none."""
     driver, carrier = law.driver, law.carrier.name
     if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > HARMONIC:
         return "encoder-interpolation" if driver.constant > GRADUATED else f"{driver.covariates[0]}-harmonic"

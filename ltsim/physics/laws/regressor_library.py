@@ -1,9 +1,8 @@
-"""Drivers, generated: base quantities, closed under a few operators on the order of the work.
+"""Library of regressors: base quantities, and a few operators on the order of measurement that are applied to them.
 
-Base quantities are what a pointing itself says, the clock, and the recording's further columns. An operator takes the
-value before, the change since, the sum of changes or of their sizes; what lags behind; another amount for each station
-or each target that was measured before. Each operator costs a constant of prior odds
-(`OPERATOR_ODDS`), and so does a product.
+Base quantities are those of a pointing, the clock, and the additional columns of the recording. The operators are:
+previous value, change since then, sum of changes or of their magnitudes, first-order lag, separate amount per station
+or per previous target. Each operator, and each product, multiplies the prior odds by `OPERATOR_ODDS`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -39,9 +38,9 @@ _CIRCLES = ("circle", "vertical-circle")
 _NEST = ("incidence", "nest-direction")
 _SIGNS = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
 WORK = ("work-azimuth", "work-elevation")
-"""Ways that the axes have turned since the set-up began."""
+"""Accumulated rotations of the axes since the set-up began."""
 OPERATORS = ("last", "move", "work")
-"""The value before, the change since then, the sum of the changes' sizes."""
+"""Operators: previous value, change since then, accumulated magnitude of the changes."""
 PRECEDING = ("wound-azimuth", "lapse", "count", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
 FOLLOWED = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
 """Covariates of readings, in addition to columns of the recording."""
@@ -65,32 +64,38 @@ DRIVES: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_NEST),
     "air": CLOCKS,
 }
-"""Covariates that each kind of carrier can depend on, in addition to columns of the recording: a wall does not depend
-on the pointing of a tracker; its stand does, for a head is never quite in balance, and the floor gives under whoever
-holds the reflector."""
+"""Covariates that each kind of response can depend on, in addition to columns of the recording. A wall does not depend
+on the pointing of a tracker, but its stand does, because a head is not balanced exactly and the floor yields under the
+operator.
+"""
 LEAST_NEAR = 2.5
-"""Smallest effective number of targets near a place."""
+"""Smallest effective number of targets near a position."""
 PLACES_NEAR = ("xyz", "xy")
-"""Shapes of the regions near which a target may be."""
+"""Shapes of the regions for nearness of targets."""
 DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
+"""Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
+one.
+"""
 HALF_LOOPS = np.array([0.05, 0.15, 0.3])
-"""Half-widths of hystereses over a covariate's span."""
+"""Half-widths of hysteresis loops, as fractions of a covariate's span."""
 MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
-"""[s] Lags that are tried: of detectors, of parts of an instrument, of stands, of walls and floors."""
+"""Time constants [s] of lags that are tried: of detectors, instrument parts, stands, walls and floors."""
 FEW_VISITS, MOST_VISITS, MOST_AMOUNTS = 3, 12, 60
-"""Set-ups beyond and up to whose number each may have a value of its own (of few, one or two stand out); targets up to
-whose number."""
+"""Smallest and largest number of set-ups with separate values (for fewer, single set-ups are tried), and largest number
+of targets.
+"""
 MOST_CHANGES = 12
-"""Times of a step that groups are tried with; the best is moved."""
+"""Largest number of times at which a step of a group is tried; the best one is refined."""
 WAVE_STEP = 0.6
-"""Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
+"""Step between the rates tried for a wave, in cycles over the covariate's span, so that every rate
+is near a tried one.
+"""
 MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
-"""Cycles over a covariate's span that a wave may have, and pointings that each must have."""
+"""Largest number of cycles of a wave over a covariate's span, and smallest number of pointings per cycle."""
 ROUNDING = 1e-12
-"""[rad, m, s] Spread of what a pointing says that is none: elevations in a plan differ by 1e-31."""
+"""Spread [rad, m, s] of a quantity below which it counts as constant: elevations in a plane differ by 1e-31."""
 OPERATOR_ODDS = 1.0 / 3.0
-"""Prior odds that an operator, or a second factor, costs: odds of one in three that there is one."""
+"""Factor on the prior odds for each operator or second factor: odds of one in three that it occurs."""
 DEPTHS = {
     "constant": 0,
     "sign": 0,
@@ -111,11 +116,11 @@ DEPTHS = {
     "room": 1,
     "product": 2,
 }
-"""Operators, and factors beyond one, of each kind of drivers."""
+"""Number of operators, and of factors beyond one, of each kind of regressor."""
 
 
 def further(sightings: Sightings) -> list[str]:
-    """Columns of the recording beyond the format's that vary."""
+    """Additional columns of the recording that vary."""
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
 
@@ -128,13 +133,13 @@ def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
 
 
 def is_admissible(kind: str, driver: Regressor, sightings: Sightings) -> bool:
-    """True if a driver can move a kind of carrier; a reading may err with anything."""
+    """True if a regressor can cause changes of a kind of response; readings may depend on every regressor."""
     names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
     return kind == "reading" or all(n in DRIVES[kind] or base_of(n) in sightings.covariates for n in names)
 
 
 def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Regressor]]:
-    """Every driver that is tried, by kind; curves with so many `modes`."""
+    """All regressors that are tried, by kind; smooth ones with `modes` eigenfunctions."""
     s, columns = sightings, further(sightings)
     base = _varying(s, (*BASE, *columns, *_CIRCLES, *_NEST))
     before = _varying(s, (*PRECEDING, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
@@ -165,19 +170,19 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
 
 
 def is_near_several(region: Region, sightings: Sightings) -> bool:
-    """True if several targets are in a region: one alone is an error of that target."""
+    """True if several targets are in a region: with one alone the error belongs to that target."""
     return region.targets_within(sightings) > LEAST_NEAR
 
 
 def local_drivers(sightings: Sightings) -> list[Regressor]:
-    """Drivers of changes of targets: functions of time, or of the recording's further columns."""
+    """Regressors of single targets: functions of time, or of additional columns of the recording."""
     names = _varying(sightings, ("time", *further(sightings)))
     straight = [simple(name, "power") for name in names]
     return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, further(sightings))]
 
 
 def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Drivers of changes of a group of targets: joint motion, sudden or gradual, another one at each set-up, a tilt."""
+    """Regressors of a group of targets: joint motion, sudden or gradual, different at each set-up, or a tilt."""
     local, each, steps = local_drivers(sightings), _each_visit(sightings, 2), _steps(sightings)
     return {
         "constant": [CONSTANT],
@@ -190,7 +195,7 @@ def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _steps(sightings: Sightings) -> list[Regressor]:
-    """Steps in time, at pauses spread evenly over the work."""
+    """Steps in time, at pauses spread evenly over the measurement."""
     clock = np.unique(sightings.time)
     if len(clock) < MOST_CHANGES:
         return []
@@ -215,7 +220,7 @@ def _each_before(sightings: Sightings) -> list[Regressor]:
 
 
 def lags(sightings: Sightings, names: Iterable[str]) -> list[Regressor]:
-    """Drivers that follow quantities with a lag."""
+    """Regressors that depend on quantities through a first-order lag."""
     varying = _varying(sightings, names)
     return [
         Regressor("lagging", (name,), constant=t) for t in MEMORIES if np.ptp(sightings.time) > t for name in varying
@@ -223,7 +228,7 @@ def lags(sightings: Sightings, names: Iterable[str]) -> list[Regressor]:
 
 
 def products(sightings: Sightings) -> Iterator[Regressor]:
-    """Products of two drivers: a sign or a move with a curve, two curves, another curve for each instrument."""
+    """Products of two regressors: a sign or change with a curve, two curves, separate curves per instrument."""
     names = _varying(sightings, (*BASE[:7], *further(sightings), *_CIRCLES, *_NEST))
     trackers = len(np.unique(sightings.instrument))
     if 1 < trackers <= MOST_VISITS:
@@ -255,7 +260,7 @@ def waves(
     names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time", *WORK),
     among: int = 1,
 ) -> Iterator[Regressor]:
-    """Waves in some quantities, of which each of so many parts has its share of pointings."""
+    """Waves in some quantities; each of the parts `among` gets an equal fraction of the pointings."""
     most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES) / among
     for name in names:
         for rate in rates(sightings, name, most):
@@ -263,7 +268,7 @@ def waves(
 
 
 SLOW = 18
-"""Rates of waves, the slowest ones, that targets are tried with."""
+"""Number of rates of waves, the slowest ones, that are tried with targets."""
 
 
 def _slow_waves(sightings: Sightings) -> list[Regressor]:

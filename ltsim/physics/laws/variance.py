@@ -1,4 +1,4 @@
-"""Noise that no card describes: where it grows, and amounts that repeat; its carrier is the noise."""
+"""Variance functions: changes of the noise that are not in the catalogue, and errors that repeat."""
 
 from dataclasses import dataclass
 
@@ -12,15 +12,15 @@ from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
 
 REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
-"""Ways in which amounts repeat: an error on the way to a target is in the ranges of both faces."""
+"""Kinds of repetition: an error on the path to a target is in the ranges of both faces, for example."""
 
 
 LEAST_PATH = 0.05
-"""Share of the longest path through a region up to which a line of sight passes outside."""
+"""Fraction of the longest path through a region below which a line of sight counts as outside."""
 
 
 def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
-    """Names of all targets, stations, or pointings (``row 1``), and that (n,) of each pointing."""
+    """Names of all targets, stations, or pointings (``row 1``), and the index (n,) of the one of each pointing."""
     if each == "reading":
         return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
     if each == "station":
@@ -30,11 +30,13 @@ def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
 
 @dataclass(frozen=True)
 class VarianceFunction(NoiseSignature):
-    """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
+    """Variance function: noise of some observables that depends on a covariate, or differs by target.
 
-    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
-    the names of all targets, stations or readings, has a value of its own; one for each observable where
-    `per_observable`. In a `region` of the hall the pattern is the length of the line of sight in it.
+    Not in the catalogue.
+
+    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`
+    (targets, stations or readings) has a separate value, and with `per_observable` one for each observable. For a
+    `region` of the hall the pattern is the length of the line of sight in it.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -63,17 +65,17 @@ class VarianceFunction(NoiseSignature):
 
     @property
     def carrier(self) -> str:
-        """Response (carrier): a reading whose amounts repeat, the noise otherwise."""
+        """Response: a reading for errors that repeat, the noise otherwise."""
         return self.observables[0] if self.repeating and len(self.observables) == 1 else "noise"
 
     @property
     def driver(self) -> str:
-        """Regressor (driver) that the scatter depends on, in words."""
+        """Regressor on which the variance depends, as text."""
         return "station and target" if self.repeating else self.each or " ".join(self.covariates)
 
     @property
     def law(self) -> str:
-        """Law of the noise in words."""
+        """Text of the variance function."""
         if self.repeating:
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
             return f"amounts without a visible law that repeat when a target is measured again{again}"
@@ -91,7 +93,7 @@ class VarianceFunction(NoiseSignature):
         return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3)."""
+        """Variance (n, 3) of the readings."""
         if self.each:
             added = values.reshape(len(self.owners), -1)[owners_of(sightings, self.each)[1]]
             acts = [o in self.observables for o in OBSERVABLES]
@@ -111,7 +113,7 @@ class VarianceFunction(NoiseSignature):
         return self._grown(sigma, values[0] * pattern)
 
     def _grown(self, sigma: Floats, added: Floats) -> Floats:
-        """Variance (n, 3) with an added share (n,) in its observables."""
+        """Variance (n, 3) with an added fraction (n,) in its observables."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added[:, None] * np.array(acts))
         return grown

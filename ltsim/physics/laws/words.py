@@ -1,4 +1,4 @@
-"""Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is told can be read."""
+"""Text form of laws, such as ``exp(-station-time / 8 min)``, and its parser."""
 
 import itertools
 import re
@@ -31,7 +31,7 @@ from ltsim.scene.regions import SHAPES, Region
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
 METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
-"""Covariates that are told in degrees, in minutes or seconds, in metres."""
+"""Covariates that are displayed in metres; other sets name those in degrees, minutes and seconds."""
 PHRASE_OF = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
@@ -85,8 +85,9 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Phrase for a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and value
-a constant, or a wave's period, with its unit."""
+"""Phrase for a kind of regressor, its function and its constant (None: any). In it x is a covariate, k the constant,
+and value a constant or a period with its unit.
+"""
 UNIT_OF = {
     "lagging": "time",
     "fades": "time",
@@ -94,13 +95,13 @@ UNIT_OF = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Covariates whose unit the constant of a driver of such a kind, or with such a function, has."""
+"""Covariate whose unit the constant of a regressor has, by kind or function."""
 LEAST = {"min": 2.0, "m": 1.0}
-"""Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
+"""Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
 AT_EACH_SET_UP = ", in its own way at each set-up"
-"""Said after the driver of a law that has coefficients of its own for each set-up."""
+"""Suffix of the regressor of a law with separate coefficients for each set-up."""
 AT_EACH = ", another at each instrument"
-"""Said after the other factor of a product that each instrument has of its own."""
+"""Suffix of a product whose other factor is separate for each instrument."""
 SWITCH = "a switch of {x}, on from {spans}"
 BETWEEN = {"product": " times ", "pieces": ", "}
 
@@ -110,11 +111,11 @@ THROUGH = {
     ("passage", LEVER): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Phrase before a region, for a kind of driver and its function."""
+"""Phrase before a region, by kind of regressor and its function."""
 
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
-    """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
+    """Text of a covariate's value with its unit; without a `clock`, time is given in rows."""
     units = _units(name, clock)
     *larger, last = units
     unit = next((u for u in larger if abs(value) >= LEAST[u] * units[u]), last)
@@ -123,7 +124,7 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
 
 
 def _units(name: str, clock: bool) -> dict[str, float]:
-    """Units in which a covariate is told [SI], the larger one first."""
+    """Units of display of a covariate [SI], the larger one first."""
     if name.endswith((*ANGLES, "incidence")):
         return {"deg": np.pi / 180.0}
     if name in SECONDS:
@@ -132,7 +133,7 @@ def _units(name: str, clock: bool) -> dict[str, float]:
 
 
 def describe(driver: Regressor, *, clock: bool = True) -> str:
-    """A driver in words."""
+    """Text form of a regressor."""
     if driver.is_per_instrument:
         return describe(driver.factors[0], clock=clock) + AT_EACH
     if driver.kind in BETWEEN:
@@ -154,7 +155,7 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
 
 
 def _switch_words(driver: Regressor, *, clock: bool) -> str:
-    """A switch in words: the spans in which it is on; the last one may have no end."""
+    """Text form of a switch: the spans in which it is on; the last one may be open."""
     name = driver.covariates[0]
     values = [value_of(name, factor.constant, clock=clock) for factor in driver.factors]
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
@@ -162,7 +163,7 @@ def _switch_words(driver: Regressor, *, clock: bool) -> str:
 
 
 def region_words(region: Region) -> str:
-    """A region of the hall in words."""
+    """Text form of a region of the hall."""
     at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.axes, region.centre, strict=True))
     return f"a {SHAPES[region.axes]} at {at}, width {region.width:.4g} m"
 
@@ -181,7 +182,7 @@ EXAMPLES = (
     "a latch of distance, set above 5.2 m, released below 4.1 m",
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
-"""Examples of a driver in words."""
+"""Examples of the text form of a regressor."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
 _REGION = re.compile(
@@ -197,7 +198,7 @@ _STEPS = re.compile(r", (?=step\(|ramp\()")
 def read_law(
     carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
 ) -> Law:
-    """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
+    """Law from its response and the text form of its regressor (see `describe`), at some places; raises ModelError."""
     if carrier not in RESPONSES:
         raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(RESPONSES)}")
     driver, each = read_driver(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
@@ -218,7 +219,7 @@ def read_law(
 
 
 def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regressor:
-    """The driver that some words describe, `describe` backwards; a smooth one has so many modes; raises ModelError."""
+    """Regressor from its text form, the inverse of `describe`; `modes` applies to a smooth one. Raises ModelError."""
     factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
     if words.endswith(AT_EACH):
         by_instrument = amounts("instrument", len(recording.instruments))
@@ -262,7 +263,7 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
 
 
 def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """The switch that some words describe; raises ModelError."""
+    """Switch from its text form; raises ModelError."""
     name, edges = match["x"], []
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
@@ -276,7 +277,7 @@ def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regr
 
 
 def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """The latch that some words describe; raises ModelError."""
+    """Latch from its text form; raises ModelError."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_GROUPS["value"], text)
@@ -289,7 +290,7 @@ def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regre
 
 
 def _read_region(words: str, match: re.Match[str]) -> Region:
-    """The region that some words describe; raises ModelError."""
+    """Region from its text form; raises ModelError."""
     axes = next(axes for axes, shape in SHAPES.items() if shape == match["shape"])
     centre = dict(_COORDINATE.findall(match["at"]))
     if "".join(centre) != axes or float(match["width"]) <= 0.0:
@@ -299,7 +300,7 @@ def _read_region(words: str, match: re.Match[str]) -> Region:
 
 
 def _constant(words: str, name: str, groups: Mapping[str, str], clock: bool) -> float:
-    """The number in some words [SI]."""
+    """Number in a text form, in SI."""
     if "k" in groups:
         return float(groups["k"])
     units, unit = _units(name, clock), groups["unit"]
