@@ -1,7 +1,7 @@
-"""Random values of a trial and their distributions: one sampler for recordings and campaigns.
+"""Random values of a trial and their distributions, for single recordings and campaigns alike.
 
-A draw is keyed by the seed, what it is for, and the number of its trial. Adding an effect, a station's twin, a method
-or a worker changes no other draw.
+The key of a draw is the seed, its purpose and the number of the trial. An additional effect, method or worker therefore
+does not change other draws.
 """
 
 from __future__ import annotations
@@ -26,29 +26,32 @@ from ltsim.simulation.physics import reflector_error
 from ltsim.simulation.scenario import Scenario
 
 CERTIFIED = 1e-4 * MILLIMETRE
-"""Step of the lengths on a certificate."""
+"""Rounding step [m] of the lengths on a certificate."""
 
 
 @dataclass(frozen=True)
 class EffectLaw:
-    """An effect whose parameters are drawn from N(mean, sigma^2), half of it where they are never negative."""
+    """Effect whose parameters are drawn from N(mean, sigma^2), folded for a parameter that is never negative."""
 
     effect: Effect
     mean: Floats
     sigma: Floats
-    """(q,) [SI] each; sigma is 0 for a declared value."""
+    """Mean and standard deviation of each parameter, (q,) [SI]; sigma is 0 for a declared value."""
     number: int = 1
     """Index among identical effects at the same place, from 1."""
 
     @property
     def upward(self) -> Bools:
-        """Flags of added variances and other values that are never negative, (q,)."""
+        """Flags (q,) of the parameters that are never negative, such as added variances."""
         kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
 def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
-    """Distributions of the effects of a scenario, in the order of its entries, then that of the reflectors' error."""
+    """Distributions of the effects of a scenario, in the order of its entries.
+
+    The incidence error of the reflectors is last.
+    """
     counts, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
@@ -65,24 +68,24 @@ def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[Effect
 
 @dataclass(frozen=True)
 class Normal:
-    """Standard normal numbers (size, B) of trials (B,) of a seed, by stream key."""
+    """Source of standard normal numbers (size, B) for trials (B,) of a seed, by stream key."""
 
     seed: int
     trials: Ints
 
     def __call__(self, size: int, *what: str | int) -> Floats:
-        """Numbers (size, B) of a stream key."""
+        """Standard normal numbers (size, B) of a stream key."""
         return trials_normal(self.seed, self.trials, size, *what)
 
     def per_trial(self) -> list[Normal]:
-        """Sources of single trials; shared draws are cached."""
+        """Sources of the single trials; shared draws are cached."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
 class _Column(Normal):
-    """Standard normal numbers of one trial."""
+    """Source of standard normal numbers of one trial in a batch."""
 
     together: Callable[..., Floats] = trials_normal
     place: int = 0
@@ -93,45 +96,45 @@ class _Column(Normal):
 
 @dataclass(frozen=True)
 class Draw:
-    """Values drawn for B trials; the last index is the trial."""
+    """Random values of B trials; the last index of each array is the trial."""
 
     trials: Ints
-    """(B,): their numbers."""
+    """Numbers of the trials, (B,)."""
     values: Floats
-    """(I, p, B) [SI]: true instrument parameters."""
+    """True instrument parameters, (I, p, B) [SI]."""
     amounts: tuple[Floats, ...]
-    """(q, B) [SI]: true parameters of each effect."""
+    """True parameters of each effect, (q, B) [SI]."""
     noise: Floats
     """Errors of the readings, (n, 3, B) [m, rad, rad]."""
     certified: Floats
-    """Known lengths as their certificates state them, at the temperature of the calibration, (g, B) [m]."""
+    """Reference lengths on their certificates, at the temperature of calibration, (g, B) [m]."""
 
 
 @dataclass(frozen=True)
 class TrialDraws:
-    """The trials that a geometry can have."""
+    """Distributions of all random values of a trial on a given geometry."""
 
     sightings: Sightings
     construction: Construction
     instruments: tuple[str, ...]
-    """Names of the trackers; '' for one without."""
+    """Names of the trackers; '' for one without a name."""
     mean: Floats
     sigma: Floats
-    """The instruments' errors are drawn from N(mean, sigma^2), (I, p) [SI]."""
+    """Standard deviations of the instrument errors, which are N(mean, sigma^2), (I, p) [SI]."""
     noise: Floats
-    """Standard deviations of the readings, without what effects on the noise add, (n, 3) [m, rad, rad]."""
+    """Standard deviations of the readings without noise effects, (n, 3) [m, rad, rad]."""
     lengths: ReferenceLengths
-    """True lengths, with the sigmas of their certificates."""
+    """True reference lengths, with the sigmas of their certificates."""
     names: tuple[str, ...]
-    """Names of the targets between which the lengths are."""
+    """Names of the targets at the ends of the reference lengths."""
     effects: tuple[EffectLaw, ...] = ()
     certificate_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
     def draw(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Draw:
-        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given.
+        """Random values of trials; `values` (I, p, B) [SI] replaces the instrument errors if given.
 
-        `apart` is a word that tells the noise from that of the same trials in another place.
+        `stream_key` distinguishes the noise of the same trials at another place.
 
         Raises SetupError when an effect leaves a variance below zero.
         """
@@ -161,7 +164,7 @@ class TrialDraws:
         return amounts
 
     def noise_sigma(self, amounts: tuple[Floats, ...]) -> Floats:
-        """True standard deviation of the noise, (n, 3, 1) or, where effects on it differ by trial, (n, 3, B)."""
+        """True standard deviation of the noise, (n, 3, 1), or (n, 3, B) if noise effects differ by trial."""
         on_noise = [
             (law.effect, amount)
             for law, amount in zip(self.effects, amounts, strict=True)
@@ -181,7 +184,7 @@ class TrialDraws:
         return sigma
 
     def _certified(self, amounts: tuple[Floats, ...], numbers: Normal) -> Floats:
-        """The certificates: of the true coefficient and temperature, which are not those that are stated."""
+        """Lengths on the certificates, computed with the true coefficient and temperature and not the declared ones."""
         lengths = self.lengths
         growth = np.repeat(lengths.factor[:, None], len(numbers.trials), axis=1)
         for name, change in lengths.shared.items():
@@ -195,7 +198,7 @@ class TrialDraws:
         return CERTIFIED * np.round((length / growth + error) / CERTIFIED)
 
     def longer(self, amounts: tuple[Floats, ...]) -> Floats:
-        """(g, B) or (g, 1) [m]: what effects add to the true lengths."""
+        """Change of the true lengths by effects, (g, B) or (g, 1) [m]."""
         lengths, total = self.lengths, np.zeros((len(self.lengths.length), 1))
         for law, amount in zip(self.effects, amounts, strict=True):
             design = law.effect.gauge_design(lengths.first, lengths.second, self.sightings.points)
