@@ -1,4 +1,4 @@
-"""Calibrations of one recording held against each other by the error of points that none of them has seen."""
+"""Comparison of calibrations of one recording by the error of new points that none of them used."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from ltsim.simulation.simulator import measure
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 SAME = 1e-6
-"""[m, rad] Below what any noise makes of two recordings."""
+"""Difference [m, rad] below which readings count as equal; noise of two recordings differs by more."""
 JUDGED = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
@@ -40,7 +40,7 @@ JUDGED = Table(
 
 @dataclass(frozen=True, repr=False)
 class Judged(Result):
-    """Errors of new points [m], by the name of the calibration."""
+    """Error of new points [m] by name of the calibration."""
 
     errors: Mapping[str, ShareRemoved]
 
@@ -60,7 +60,7 @@ class Judged(Result):
 
 
 def _same_readings(readings: Floats, others: Floats) -> bool:
-    """True where readings [m, rad] differ by the rounding of a file at most, or where some have been left out."""
+    """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
     return readings.shape != others.shape or not np.any(np.abs(readings - others) > SAME)
 
 
@@ -73,11 +73,10 @@ def judge(
     seed: int = 0,
     trial: int = 0,
 ) -> Judged:
-    """Compare calibrations of one simulated recording by points that they were not calibrated on.
+    """Comparison of calibrations of one simulated recording by points that were not used for calibration.
 
-    The same instruments, with the errors that they have in that recording, measure in another place with noise of its
-    own; the estimates of each calibration correct what they read. A campaign with `judge_in` has the same numbers in
-    the trial's row.
+    The same instruments with the same errors measure at another place with independent noise, and each calibration
+    corrects these readings. A campaign with `judge_in` has the same numbers in the row of the trial.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The rows of a shard: trials drawn, calibrated by every method on the same draws, judged."""
+"""Rows of a shard: trials are drawn, calibrated by every method on the same draws, and evaluated."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -38,14 +38,14 @@ from ltsim.simulation.simulator import place_key
 from ltsim.simulation.workshop import Layout, planned
 
 JUDGED = {"criteria", "errors"}
-"""Statistics that take corrected readings."""
+"""Statistics that need corrected readings."""
 TOGETHER = 64
-"""Trials per batch where each has a separate geometry and the same sights."""
+"""Number of trials per batch if each has a separate geometry with the same sightings."""
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Shard of a cell, as a task for any worker."""
+    """Shard of a cell as a task for any worker."""
 
     campaign: Campaign
     scenario: Scenario
@@ -54,11 +54,11 @@ class ShardTask:
     cell: int
     shard: int
     judge: Scenario | None = None
-    """Scenario of `judge_in`, where methods are judged; None without one."""
+    """Scenario of `judge_in`, in which methods are evaluated; None without one."""
     effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.of_session)
-    """Classes of the session, which a worker does not know."""
+    """Effect classes that were registered in this session, which a worker does not have."""
     held: pa.Table | None = None
-    """Rows of the shard that stay, where it lacks trials, or statistics."""
+    """Existing rows of the shard, if it lacks trials or statistics."""
 
     @property
     def key(self) -> dict[str, str]:
@@ -69,7 +69,7 @@ class ShardTask:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A cell ready to work: everything its trials share."""
+    """Cell with everything that its trials share."""
 
     campaign: Campaign
     scenario: Scenario
@@ -77,13 +77,16 @@ class Prepared:
 
     @cached_property
     def shared(self) -> tuple[Judge, list[Calibrator]]:
-        """The geometry that all trials share, with the calibrators in the order of the file's methods."""
+        """Common geometry of all trials, with the calibrators in the order of the file's methods."""
         truth = truth_of(self.scenario, self.campaign.seed)
         return Judge(truth), [calibrator_of(method, truth) for method in self.campaign.methods]
 
     @cached_property
     def elsewhere(self) -> Judge | None:
-        """The place of `judge_in`, where the same instruments measure what no calibration used."""
+        """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
+
+        None without one.
+        """
         return None if self.judge is None else Judge(truth_of(self.judge, self.campaign.seed, JUDGE))
 
     @cached_property
@@ -111,9 +114,9 @@ class Prepared:
         return planned(self.scenario)
 
     def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
-        """Blocks that hold the trials ``first`` to ``last - 1``, with their geometry's judge and calibrators.
+        """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
 
-        A trial whose own geometry is impossible, a station that sees nothing, is in none.
+        Trials with an impossible geometry, such as a station without visible targets, are in no block.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
@@ -126,7 +129,7 @@ class Prepared:
                 yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
-        """The geometry of each trial that has a possible one; they share the set-up with the common one."""
+        """True geometry of each trial that has a possible one; they share the set-up with the common one."""
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
@@ -137,13 +140,13 @@ class Prepared:
 
 @lru_cache(maxsize=4)
 def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
-    """The prepared cell of a task, all as JSON; kept, since a worker sees many shards of the same cell."""
+    """Cell of a task, from JSON texts; it is cached, because a worker computes many shards of the same cell."""
     there = Scenario.model_validate_json(judge) if judge else None
     return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
 def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """A shard as the bytes of its file, with its task; one thread, so that sums keep their order on any worker."""
+    """Task and the bytes of its shard's file; computed with one thread, so that sums keep their order on any worker."""
     for kind in task.effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
@@ -171,7 +174,7 @@ def shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
-    """The rows of a shard behind so many of its trials; without a calibration where only what was `drawn` is asked."""
+    """New rows of a shard after the existing trials; with `drawn` only the true values, without a calibration."""
     campaign, given = task.campaign, (task.campaign, task.scenario, task.judge)
     cell = prepared(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     start = task.shard * campaign.shard
@@ -201,7 +204,7 @@ def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
 
 @dataclass(frozen=True)
 class TrialBlock:
-    """A block that every method calibrates."""
+    """Block that every method calibrates."""
 
     campaign: Campaign
     judge: Judge
@@ -209,18 +212,21 @@ class TrialBlock:
     elsewhere: Judge | None
     wanted: Ints
     checked: Ints
-    """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
+    """Indices in the block of the trials whose rows are wanted, and of those that the full solver repeats."""
     drawn: bool = False
     """True if rows contain the drawn truth only, without a calibration."""
 
     @cached_property
     def shared(self) -> Columns:
-        """Columns that all methods share."""
+        """Columns common to all methods."""
         return self.judge.before(self.block)
 
     @cached_property
     def new_points(self) -> tuple[Judge, Block, Columns] | None:
-        """Held-out points of the same instruments: independent noise, the same sizes of effects that act there too."""
+        """Held-out points measured by the same instruments, with independent noise and equal sizes of effects.
+
+        None without `judge_in`.
+        """
         if self.elsewhere is None:
             return None
         there = Normal(self.campaign.seed, self.block.trials)
@@ -228,7 +234,7 @@ class TrialBlock:
         return self.elsewhere, block, self.elsewhere.before(block)
 
     def _drifted(self) -> Floats:
-        """The instruments' errors (I, p, B) [SI] when they are judged."""
+        """Errors of the instruments (I, p, B) [SI] at the time of evaluation."""
         values, share = self.block.values, self.campaign.judge_drift
         if not share:
             return values
@@ -238,7 +244,7 @@ class TrialBlock:
         return values + share * (population.sigma * moves)[:, :, None] * step.reshape(values.shape)
 
     def columns(self, calibrator: Calibrator) -> Columns:
-        """The columns of a method that the campaign wants."""
+        """Columns of a method that the campaign stores."""
         wanted, block, truth = self.campaign.statistics, self.block, self.judge.truth
         construction, effects = calibrator.construction, calibrator.effects
         if self.drawn:

@@ -1,4 +1,4 @@
-"""Many trials over a grid of settings."""
+"""Public function of campaigns: many trials over a grid of settings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def campaign(
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
 ) -> Results:
-    """Simulate, calibrate and judge many trials; the rows are kept in a folder whatever stops it.
+    """Simulation, calibration and evaluation of many trials, with rows in a folder that survive interruptions.
 
     Parameters
     ----------
