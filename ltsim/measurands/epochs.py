@@ -1,8 +1,9 @@
-"""Did points move between two recordings? The congruence test, and which points moved.
+"""Displacements between two epochs: adjustment of each, alignment, congruence test.
 
-Each epoch is adjusted by itself; the second is brought onto the first by the rigid motions that one of them leaves open
-(and a scale, if asked for). What remains is compared with the full covariance of both. Points that moved are found one
-by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
+Each epoch is adjusted by itself; the second is aligned to the first by the rigid motions that are free in one of them
+(and by a scale if requested). The remaining differences are compared with the full covariance of both. Displaced points
+are added one by one, each time the one that explains most of the remaining differences, until the others are congruent;
+each is then tested with the others in the model.
 """
 
 from __future__ import annotations
@@ -30,9 +31,11 @@ from ltsim.recordings.setup import Gauge
 
 SPACE = np.arange(3)
 ALIGNING = 30
-"""Rounds of the alignment by distances, which a third of the points may leave far."""
+"""Number of iterations of the alignment by distances, in which up to a third of the points may be displaced far."""
 STILL = 1e-9
-"""Share of the extent by which a unit motion has to move points along the axes that are known."""
+"""Smallest displacement of points by a unit motion, relative to their extent, at which measured axes determine the
+motion.
+"""
 
 
 def compare(
@@ -44,7 +47,10 @@ def compare(
     same_instrument: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
+    """Comparison of two converged adjustments by their common points, each in its own frame.
+
+    Options and errors as `lt.compare`.
+    """
     lost = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
     stable_points = _frame("recordings", common, stable, held=3)
@@ -64,7 +70,7 @@ def compare_coordinates(
     scaled: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """Two lists of coordinates in one frame, or in `free` ones; options and errors as of `lt.compare`."""
+    """Comparison of two lists of coordinates in one frame, or in `free` ones; options and errors as `lt.compare`."""
     if first.axes != second.axes:
         raise ModelError(
             f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
@@ -94,7 +100,7 @@ def _compared(
     axes: Ints = SPACE,
     notes: Sequence[str] = (),
 ) -> Comparison:
-    """The comparison of epochs of the same names; points whose names are exchanged are compared by place."""
+    """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
     gap = _aligned(first, second, scaled, stable, axes)
     result = judged(gap, held, level, sources)
     order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
@@ -105,7 +111,7 @@ def _compared(
 
 
 def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
-    """(T,): which common points may hold the frame, `held` of them at least: all, or those said to be stable."""
+    """Flags (T,) of the common points that may define the frame (at least `held`): all, or the declared stable ones."""
     for name in stable or ():
         if name not in common:
             raise unknown_name("common point", name, common)
@@ -119,9 +125,10 @@ def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, he
 
 @dataclass(frozen=True)
 class _Epoch:
-    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and the rigid motions (6, f) that are open.
+    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and free rigid motions (6, f).
 
-    `by_given` (T a, g) is how the points follow what the epochs may have in common, in standard deviations.
+    `by_given` (T a, g) is the derivative of the points with respect to errors that the epochs may have in common, in
+    standard deviations.
     """
 
     names: Sequence[str]
@@ -142,7 +149,7 @@ class _Epoch:
 
     @classmethod
     def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:
-        """Points of a list that leaves motions `free` (6, f)."""
+        """Epoch of a list of coordinates with free motions `free` (6, f)."""
         at = np.array([coordinates.names.index(name) for name in common])
         rows = rows_of(at, len(coordinates.axes))
         return cls(
@@ -150,14 +157,17 @@ class _Epoch:
         )
 
     def reordered(self, order: Ints, axes: int) -> Self:
-        """The epoch with the place of point `order[i]` at point i."""
+        """Epoch in which point i has the position of point `order[i]`."""
         rows = rows_of(order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]
         return replace(self, points=self.points[order], covariance=covariance, by_given=self.by_given[rows])
 
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
-    """Groups of observations that are the same ones in both epochs, errors included: equal statements."""
+    """Groups of observations that are common to both epochs including their errors.
+
+    Their declarations are equal in both epochs.
+    """
     earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
@@ -178,14 +188,14 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
 
 
 def _certificate(gauge: Gauge) -> Gauge:
-    """Reference lengths as certified, without their temperatures during the measurement."""
+    """Reference lengths of a certificate, without their temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
 def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> Gap:
-    """The second epoch moved onto the first; where both frames are held, as they are; along `axes` (a,)."""
+    """Differences of the second epoch, aligned to the first unless both frames are fixed, along `axes` (a,)."""
     before, after, turn = first.points, second.points, np.eye(3)
     middle = before[stable].mean(axis=0)
     both = np.hstack([first.free, second.free])
@@ -213,25 +223,29 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: I
 
 
 def _about(free: Floats, centre: Floats) -> Floats:
-    """Motions (6, f) with their turns about a centre instead of the origin."""
+    """Motions (6, f) with rotations about a centre in place of the origin."""
     about = free.copy()
     about[:3] += np.cross(free[3:].T, centre).T
     return about
 
 
 SINGULAR = 1e-7
-"""Eigenvalue of correlations over the largest below which a covariance has a rank defect; files round to 1e-9."""
+"""Ratio of an eigenvalue of the correlation matrix to the largest below which the covariance has a rank defect; files
+round to 1e-9.
+"""
 PLACE_TAKEN = 0.1
-"""Share of the distance between two points within which each lies at the place of the other if names are exchanged."""
+"""Largest distance, relative to the distance of two points, from each other's position at which their names count as
+exchanged.
+"""
 OPEN_MOTIONS = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
-"""Rigid motions (shifts along x, y, z, turns about them) that a datum in space holds, by the rank defect."""
+"""Rigid motions (shifts along x, y, z, rotations about them) that a datum fixes, by the rank defect."""
 
 
 def open_motions(epoch: Coordinates) -> Floats:
-    """Rigid motions (6, f) that the covariance of an epoch leaves open, by its rank defect.
+    """Rigid motions (6, f) that are free in an epoch, by the rank defect of its covariance.
 
-    Inner constraints over all points make a covariance without variance along the motions themselves; a datum of some
-    of them has the same defect in other directions, and the usual motions are taken.
+    With inner constraints over all points the covariance has no variance along the motions. A datum of some points has
+    the same defect in other directions; the usual motions are then used.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
@@ -254,9 +268,9 @@ def open_motions(epoch: Coordinates) -> Floats:
 
 
 def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
-    """Number of the point whose name each common point has in the second epoch; None if no names are exchanged.
+    """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
-    Each of the `moved` points stands where another of them stood in the first epoch, far from its own place.
+    Each of the `moved` points is at the first-epoch position of another one, far from its own.
     """
     if len(moved) < 2:
         return None
@@ -274,14 +288,14 @@ def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
 
 
 def exchange_note(names: Sequence[str], order: Ints) -> str:
-    """The sentence on names that are exchanged in the second epoch."""
+    """Sentence on names that are exchanged in the second epoch."""
     changed = np.flatnonzero(order != np.arange(len(order)))
     names_changed = listing([names[i] for i in changed.tolist()], len(changed))
     return f"the names {names_changed} are exchanged in the second epoch: these points are compared by their places"
 
 
 def datum_note(count: int) -> str:
-    """The sentence on covariances that leave motions open."""
+    """Sentence on covariances with free motions."""
     return (
         f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "
         "with the first along them"

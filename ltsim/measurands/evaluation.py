@@ -1,4 +1,4 @@
-"""The whole evaluation: readings to results, uncertainty twice, budget, verdicts."""
+"""Complete evaluation: results from readings, their uncertainty by two methods, budget and decisions."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,17 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MATTERS = 0.2
-"""An error that no reading shows is reported from this share of the standard uncertainty on: it would add 2 % to it."""
+"""Smallest share of the standard uncertainty from which an error without effect on the readings is reported: it would
+add 2 % to the uncertainty.
+"""
 
 
 @dataclass(frozen=True, repr=False)
 class Evaluation:
-    """Propagation and Monte Carlo of tasks on a recording, as arrays; `result` is what `uncertainty` returns."""
+    """Results of propagation and Monte Carlo for the tasks on a recording, as arrays.
+
+    `result` is what `uncertainty` returns.
+    """
 
     tasks: Tasks
     inputs: Inputs
@@ -33,9 +38,9 @@ class Evaluation:
     drawn: Drawn
     """Uncertainty by Monte Carlo (JCGM 101)."""
     agrees: Bools
-    """(k,): whether the linear interval is that of the distribution (JCGM 101, clause 8)."""
+    """Flags (k,) that the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
     curved: Floats
-    """Gap between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
+    """Difference between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
 
     @property
     def outputs(self) -> list[tuple[Task, Output]]:
@@ -44,7 +49,7 @@ class Evaluation:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings on figures that are less reliable than they seem, one sentence each."""
+        """Warnings on results that are less reliable than they appear, one sentence each."""
         air = self.inputs.air
         warnings = [f"every budget holds the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
@@ -66,7 +71,7 @@ class Evaluation:
 
     @property
     def result(self) -> Uncertainty:
-        """The values with their uncertainties in the units of the tasks."""
+        """Result with values and uncertainties in the units of the tasks."""
         origin = self.inputs.origin
         if isinstance(origin, Coordinates):
             source, frame, sigma0 = SourceEntry.listed(origin), "that of the list of coordinates", None
@@ -114,7 +119,7 @@ class Evaluation:
         )
 
     def _hidden(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
-        """Errors that no reading shows and that change one result by more than `MATTERS` of its uncertainty."""
+        """Errors without effect on the readings that change one result by more than `MATTERS` of its uncertainty."""
         changes = {
             name: abs(float(self.linear.by_points[i] @ moved)) / unit for name, moved in self.inputs.hidden.items()
         }
@@ -124,7 +129,10 @@ class Evaluation:
         )
 
     def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
-        """Sources of one result with their share of its variance, the largest first; they add up to 1."""
+        """Budget of one result: sources with their fraction of its variance, the largest first.
+
+        The fractions add up to 1.
+        """
         shares, kinds = {name: float(share[i]) for name, share in self.linear.shares.items()}, self.linear.kinds
         total = sum(shares.values())
         ranked = [
@@ -143,13 +151,13 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
 
 
 def evaluate_listed_tasks(coordinates: Coordinates, tasks: Tasks) -> Evaluation:
-    """The same of coordinates with their covariance."""
+    """Results of tasks on a list of coordinates with their covariance."""
     return _evaluated(Inputs.listed(coordinates, tasks), tasks)
 
 
 @single_threaded
 def _evaluated(inputs: Inputs, tasks: Tasks) -> Evaluation:
-    """Results of tasks on points whose covariance is known."""
+    """Results of tasks on points with known covariance."""
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)

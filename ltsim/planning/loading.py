@@ -1,4 +1,4 @@
-"""Plan files read: their lists of points, the scenario that they name or the hall that they describe themselves."""
+"""Reader of plan files, with their lists of points and the scenario or hall that they name or contain."""
 
 import difflib
 import math
@@ -27,24 +27,24 @@ from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
 
 TABLES = ("workshop", "instrument", "smr", "work")
-"""Tables of a scenario that a plan file may hold itself."""
+"""Tables of a scenario that a plan file may contain."""
 USUAL_HEIGHT_MM = (1400.0, 1800.0)
-"""Centre of the head on a usual stand."""
+"""Lowest and highest centre of the head [mm] on a usual stand."""
 SAME_MM = 0.1
-"""Within which a point of a list is the scenario's target of its name."""
+"""Distance [mm] within which a point of a list equals the scenario's target of the same name."""
 BEGIN = 4
-"""Stations to begin from, where the plan does not say how many."""
+"""Number of initial stations if the plan does not give one."""
 BUILT_IN = files("ltsim.planning") / "builtin"
 
 
 def plan_names() -> tuple[str, ...]:
-    """Built-in plan files, then scenarios, which are plans with all settings at their defaults."""
+    """Names of the built-in plan files, and of the scenarios, which are plans with default settings."""
     plans = sorted(f.name.removesuffix(".toml") for f in BUILT_IN.iterdir() if f.name.endswith(".toml"))
     return (*plans, *(name for name in builtin_names() if name not in plans))
 
 
 def plan_text(name: str) -> str:
-    """The commented file of a built-in plan, to print and edit."""
+    """Commented file of a built-in plan, as a template."""
     path = BUILT_IN / f"{name}.toml"
     if not path.is_file():
         near = _near(name, plan_names())
@@ -53,7 +53,7 @@ def plan_text(name: str) -> str:
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan file, a built-in plan, or a scenario taken as a plan; with its scenario (raises SetupError)."""
+    """Plan file (or built-in plan, or scenario used as a plan) and its scenario; raises SetupError."""
     name = str(name_or_path)
     built = BUILT_IN / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)
@@ -77,12 +77,12 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
 
 
 def _near(name: str, candidates: Sequence[str]) -> str:
-    """The names that are most like one that does not exist."""
+    """Names that are most similar to an unknown one."""
     return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
 
 
 def _given(made: PlanFile, path: Path) -> dict[str, Any]:
-    """Values that the file leaves open: the points of its list, and defaults that follow from other keys."""
+    """Values that the file does not give: the points of its list, and defaults that depend on other keys."""
     points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
     changes: dict[str, Any] = {"points": points}
     if made.workshop is not None and made.floor.height_mm is None:
@@ -109,7 +109,7 @@ def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
 
 
 def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
-    """Names that exist, and new ones that do not."""
+    """Check that names refer to existing objects and that new names are unused; raises SetupError."""
     groups = sorted({point.group for point in made.listed if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
@@ -147,7 +147,10 @@ def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
 
 
 def read_points(path: Path) -> tuple[Point, ...]:
-    """The points of a list of coordinates in any dialect, with the keys of a point as further columns; SetupError."""
+    """Points of a list of coordinates in any format, with the keys of a point as additional columns.
+
+    Raises SetupError.
+    """
     columns = list(Point.model_fields)[4:]
     with as_setup_error():
         table = read_coordinates(path)
@@ -187,7 +190,7 @@ def _point(table: Points, i: int, path: Path) -> Point:
 
 
 def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
-    """The scenario of the tables of a plan file, as the file gives them, and its points; raises SetupError."""
+    """Scenario from the tables and points of a plan file; raises SetupError."""
     table: dict[str, Any] = {"format": FORMAT, "title": made.title}
     table |= {name: data[name] for name in TABLES if name in data}
     table["work"] = {"order": "as-listed", **data.get("work", {})}
@@ -206,7 +209,10 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
 
 
 def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> None:
-    """Raise SetupError where all points lie in a thousandth of the room: 7.000 may mean seven thousand, or metres."""
+    """Check that points extend over more than a thousandth of the room (7.000 may mean seven thousand).
+
+    Raises SetupError.
+    """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
         raise SetupError(
@@ -216,7 +222,7 @@ def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> No
 
 
 def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> Scenario:
-    """A scenario with further targets; points that are its targets already stay what they are."""
+    """Scenario with additional targets; points that are its targets already do not change."""
     _check_size(points, scenario, file)
     for point in points:
         there = scenario.targets.get(point.name)
@@ -231,7 +237,7 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
 
 
 def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
-    """Places (count, 3) [m] one after the other where they see most of what few others see."""
+    """Initial places (count, 3) [m], one after the other, at which most targets with few sights are visible."""
     heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
     areas, keep_outs = ground_of(made.floor, scenario.workshop.size_mm, heights)
     obstacles, points = obstacles_of(scenario), planned(scenario).points

@@ -1,4 +1,4 @@
-"""Reasons for a plan: sentences, each with its number."""
+"""Sentences on the reasons for a plan, each with its number."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from ltsim.planning.tolerances import against, keeps, loss_sentences
 from ltsim.planning.workshop import objective_of
 
 GAIN = " (gain "
-"""Text before the gain that a measurement gives; a sentence without it names no measurement."""
+"""Text before the gain of a measurement; a sentence without it names no measurement."""
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
@@ -29,7 +29,7 @@ CRITERION_WORDS = {
 
 
 def reasons(plan: PlannedNetwork) -> list[str]:
-    """The sentences, the answer first."""
+    """Sentences on the reasons for a plan, the result first."""
     sentences = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
     return [*sentences, *_air(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
 
@@ -64,7 +64,7 @@ def _tolerances(plan: PlannedNetwork) -> list[str]:
 
 
 def _numbers(plan: PlannedNetwork) -> list[str]:
-    """Numbers of stations that were searched, with the outcome of each."""
+    """Sentences on the numbers of stations that were searched, with the result of each."""
     if not plan.tried:
         return []
     *fewer, last = plan.tried
@@ -91,7 +91,7 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
 
 
 def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
-    """Clauses on the outcome for each number of stations, equal outcomes joined."""
+    """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
         if outcome.ratio is not None and np.isfinite(outcome.ratio):
@@ -109,7 +109,7 @@ def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
 
 
 def _air(plan: PlannedNetwork) -> list[str]:
-    """Uncertainty of the air that the figures include."""
+    """Sentence on the uncertainty of the air that the results include."""
     adjustment = plan.chosen.information.adjustment
     air = counted_air(adjustment)
     if air is None:
@@ -165,7 +165,7 @@ def _parameters(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[s
 
 
 def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
-    """Sentences on the loss of quality without each station, and the parameter that suffers most."""
+    """Sentences on the loss of quality without each station, and the parameter that is affected most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
     objective, sentences = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
@@ -241,7 +241,7 @@ def fewest(plan: PlannedNetwork) -> TradeoffPoint | None:
 
 
 def _curve(plan: PlannedNetwork) -> list[str]:
-    """Sentences on fewer stations that suffice, and on the cost of a better layout."""
+    """Sentences on fewer stations that are sufficient, and on the cost of a better layout."""
     sentences, few, reference = [], fewest(plan), plan.reference
     if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
         goal = " ".join(plan.chosen.qualities)
@@ -274,7 +274,7 @@ def _reference_value(plan: PlannedNetwork) -> float:
 
 
 def _undetermined(plan: PlannedNetwork) -> list[str]:
-    """Number of undetermined combinations of parameters, and the measurement that determines most of them."""
+    """Sentences on the number of undetermined combinations, and the measurement that determines most of them."""
     information = plan.chosen.information
     count = len(information.undetermined)
     if not count:

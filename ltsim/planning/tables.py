@@ -1,4 +1,4 @@
-"""Tables of plans, each declared once: CSV, data frame, terminal and page."""
+"""Tables of plans, declared once for CSV, data frame, terminal and page."""
 
 from ltsim.core.results import Column, Table, columns_of, flags, numbers, texts
 from ltsim.core.units import DEGREE, MILLIMETRE
@@ -135,11 +135,11 @@ TABLES = (
     NOMINALS, WORK, STATIONS, REFLECTORS, TOLERANCES, LOSSES, TRADEOFF, PARAMETERS, EXPECTED, CHANGES, EFFECTS,
     CONFUSABLE, VISIBILITY,
 )  # fmt: skip
-"""Tables written with plan.json."""
+"""Tables that are written with plan.json."""
 
 
 def visibility_table(layout: LayoutEvaluation) -> Table:
-    """`visibility.csv`: every pair of a station and a target."""
+    """Table `visibility.csv`: every pair of station and target."""
     words, table, survey = layout.table.words(), layout.table, layout.survey
     return VISIBILITY.filled(
         [
@@ -152,7 +152,7 @@ def visibility_table(layout: LayoutEvaluation) -> Table:
 
 
 def work_table(plan: PlannedNetwork) -> Table:
-    """`work-order.csv`: every pointing with the readings of a perfect instrument at its place."""
+    """Table `work-order.csv`: every pointing with the readings of a perfect instrument."""
     recording = plan.chosen.survey.recording(plan.chosen.information.construction)
     return WORK.filled(
         [

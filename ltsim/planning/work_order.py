@@ -1,4 +1,4 @@
-"""Work order of a plan on the shop floor: tripods placed by tape, order of measuring, checks."""
+"""Work order of a plan for the shop floor: tape distances to tripods, order of measurement, checks."""
 
 from __future__ import annotations
 
@@ -14,40 +14,42 @@ from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.planner import PlannedNetwork
 
 REACH = 2.2
-"""[m] Largest height from which a point can be plumbed to the floor."""
+"""Largest height [m] from which a point can be plumbed to the floor."""
 TAPE = 15.0
-"""[m] Longest distance for a tape or a distance meter."""
+"""Longest distance [m] for a tape or a distance meter."""
 MOST_MARKS = 16
-"""Marks of a station that are looked at."""
+"""Largest number of marks that are considered for a station."""
 STRAIGHT = 0.1
-"""Least gain in firmness of a distance straight to a reflector over one along the floor."""
+"""Smallest gain in firmness of a distance straight to a reflector compared with one along the floor."""
 READ, PLAY, CLEAR = 0.01, 0.03, 0.1
-"""[m] Resolution of a tape; largest ambiguity of the place from three distances; smallest miss of any other place."""
+"""Resolution of a tape, largest ambiguity of the position from three distances, and smallest misclosure at any other
+position [m].
+"""
 NEAR = 0.3
-"""[m] Shortest useful distance."""
+"""Shortest useful distance [m]."""
 ANKLE = 0.1
-"""[m] Height above the floor at which the tape must pass freely."""
+"""Height [m] above the floor at which the tape must pass freely."""
 BORED = 0.03
-"""Least gain in firmness of three distances for one more metre of tape."""
+"""Smallest gain in firmness of three distances per additional metre of tape."""
 TRUST = 3.0
-"""Sigmas beyond which a repeated point is taken to have moved."""
+"""Number of standard deviations beyond which a repeated point counts as moved."""
 COMMON = 3
-"""Points that are measured again at the end of a station."""
+"""Number of points that are measured again at the end of a station."""
 
 
 @dataclass(frozen=True)
 class TapeDistance:
-    """A distance along the floor, from under the head to under a point, or straight from the head to a reflector."""
+    """Distance along the floor from below the head to below a point, or straight from the head to a reflector."""
 
     to: str
     place: Floats
-    """(3,) [m]: of the point."""
+    """Coordinates of the point, (3,) [m]."""
     metres: float
     floor: bool
 
     @property
     def words(self) -> str:
-        """The distance with its end."""
+        """Text of the distance and its end point."""
         return f"{self.metres:.2f} m to {self.to}{'' if self.floor else ' (straight)'}"
 
     @classmethod
@@ -59,27 +61,27 @@ class TapeDistance:
 
 @dataclass(frozen=True)
 class StationSetup:
-    """Station of the work order."""
+    """Station in the work order."""
 
     name: str
     height: float
-    """[m]: of the head's centre above the floor."""
+    """Height [m] of the head's centre above the floor."""
     tapes: tuple[TapeDistance, ...]
-    """Three, which meet in one point unless `lacking` says otherwise."""
+    """Three distances, which determine one position unless `lacking` says otherwise."""
     lacking: str
-    """Deficiency of the tapes in fixing the place, as a sentence; empty where they fix it."""
+    """Sentence on the deficiency of the distances; empty if they determine the position."""
     towards: str
-    """Direction of azimuth zero, in words."""
+    """Text of the direction of azimuth zero."""
     order: tuple[str, ...]
     """Targets in the order of their first pointing."""
     again: dict[str, float]
-    """[m]: targets to measure again at the end, and how far they may be off then."""
+    """Targets to be measured again at the end, with their largest permitted deviation [m]."""
     minutes: float
     """Duration of the pointings [min]."""
 
 
 def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
-    """The stations of a plan in the order of the work."""
+    """Stations of a plan in the order of measurement."""
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
     sightings = sightings_of(recording, survey.state(built))
@@ -111,10 +113,12 @@ def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
 
 
 def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
-    """Marks that a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
+    """Marks for tape distances to a station, in order of preference.
 
-    Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
-    other reflector in sight.
+    They are first those within reach of a tape, then along the floor, then the nearest.
+
+    Distances along the floor lead to points that can be plumbed and to corners of the room, if the path is free; others
+    lead straight to visible reflectors.
     """
     survey, obstacles = plan.chosen.survey, plan.site.obstacles
     targets = list(zip(survey.target_names, survey.points, strict=True))
@@ -137,7 +141,10 @@ def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDist
 
 
 def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
-    """Three distances that cross well, are short and meet in one point only, the station's; else the firmest three."""
+    """Three short distances with good intersection that determine one position only.
+
+    If there are none, the firmest three.
+    """
 
     def worth(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
         firm, good = firmness(three, place), not lacking(three, place)
@@ -148,13 +155,13 @@ def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, 
 
 
 def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
-    """Smallest change of distances per step on the floor: the least singular value of their gradients."""
+    """Smallest change of distances per step on the floor: the smallest singular value of their gradients."""
     slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
 def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
-    """Deficiency of distances, read within `READ`, in giving one place and no other, as a sentence; empty for none."""
+    """Sentence on why distances with resolution `READ` do not determine one position; empty if they do."""
     if len(tapes) < 3:
         return "Fewer than three points can be taped to: mark its place by another way."
     if (firm := firmness(tapes, place)) * PLAY < READ:
@@ -173,7 +180,7 @@ def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
 
 
 def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
-    """Direction of azimuth zero: the target in sight that is nearest to it, and the angle between them."""
+    """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
     survey = plan.chosen.survey
     way = survey.points[visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
@@ -184,7 +191,7 @@ def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) ->
 
 
 def checks(plan: PlannedNetwork) -> list[str]:
-    """Checks in the order of the work, a sentence each."""
+    """Checks in the order of measurement, one sentence each."""
     survey, file = plan.chosen.survey, plan.file
     sentences = [
         f"Before the first pointing: the tracker is warm, its own checks are passed, the air has the planned "
