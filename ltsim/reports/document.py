@@ -31,9 +31,9 @@ Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "plan", "none"]
 """View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
 LONG, ENDLESS = 30, 120
-"""Numbers of rows above which a table is folded, and above which it is not printed (three pages)."""
+"""Number of rows above which a table is folded, and above which it is not printed (three pages)."""
 FIRST, WIDEST = 8, 160
-"""Rows of a folded table shown on a terminal, and the largest width of a table there [characters]."""
+"""Number of rows of a folded table on a terminal, and largest width of a table there [characters]."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ReportContext:
 
 
 def mood(good: bool) -> Mood:
-    """`good` or `bad`."""
+    """Mood `good` or `bad` for a flag."""
     return "good" if good else "bad"
 
 
@@ -162,7 +162,7 @@ Block = Notes | Grid | Picture | Scene | Note | Listing
 class Section:
     """Section of a page: one result of one folder; `answer` is its first sentence.
 
-    `notice` comes before the answer and tells that the data are simulated.
+    `notice` comes before the answer and states that the data are simulated.
 
     `title` is the title of a page with this section alone; `kind` and `folder` are its heading among others. The first
     `shown` blocks are open, the others are details; the first `lead` blocks are side by side at the head of the page. A

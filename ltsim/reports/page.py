@@ -46,7 +46,7 @@ HEADLINES = {
     ("Comparison", "good"): "No point moved.",
     ("Comparison", "bad"): "Points moved.",
 }
-"""Headline by kind of result and verdict."""
+"""Headline of a page by kind of result and verdict."""
 
 
 NAME, MANIFEST = "report.html", "manifest.json"
@@ -65,7 +65,7 @@ class PagePart:
 
 
 KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
-"""Files that identify the content of a folder, in the order of the page; the first one gives its headline."""
+"""Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
 def section(part: PagePart, detail: Detail = "none") -> Section:

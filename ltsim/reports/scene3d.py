@@ -56,7 +56,7 @@ def times(scale: float) -> str:
 
 
 Camera = Sequence[Sequence[float]]
-"""Position and focal point of a camera [m], and its up direction."""
+"""Camera: position and focal point [m], and up direction."""
 
 
 def build(

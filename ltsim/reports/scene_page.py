@@ -40,7 +40,9 @@ HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta nam
 
 
 FINEST = 40_000
-"""Number of steps of coordinates across a scene, to which they are rounded for compression; invisible on a screen."""
+"""Number of coordinate steps across a scene, to which coordinates are rounded for compression;
+invisible on a screen.
+"""
 
 
 def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
@@ -93,7 +95,7 @@ def _overlay(title: str, legend: scene3d.Legend) -> str:
 
 
 FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
-"""Address of the icon that vtk.js loads from the network; it is replaced by an empty one."""
+"""Pattern of the address of an icon that vtk.js loads from the network; it is replaced by an empty address."""
 
 LONG_AGO = (1980, 1, 1, 0, 0, 0)
 

@@ -24,7 +24,7 @@ from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_
 SECOND_OPENING = 110.0 * DEGREE
 """Alternative opening of the shadow cone in the paper (section 2.3.2)."""
 HEAD = 3.0
-"""Largest height [m] of a tracker above the floor; a plan whose zero is farther below has no floor."""
+"""Largest height [m] of a tracker above the floor; a plan with its zero farther below the trackers has no floor."""
 FACING, FLUSH, MARGIN = 0.25, 0.2, 0.4
 """Smallest component of a nest's normal across its wall; largest difference in depth [m] of nests of one wall; margin
 [m] of the floor around stations and targets."""
@@ -47,26 +47,26 @@ class PlacedWorkshop(ValueEquality):
     title: str
     stations: tuple[str, ...]
     position: Floats
-    """(S, 3)."""
+    """Positions of the stations, (S, 3) [m]."""
     rotation: Floats
     """Instrument frame to this frame, (S, 3, 3)."""
     targets: tuple[str, ...]
     points: Floats
     nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Normals of the fixed nests; NaN for a reflector that is turned toward each station, (T, 3)."""
+    """Normals of the fixed nests, (T, 3); NaN for a re-aimed reflector."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """Outline, (k, 2)."""
+    """Outline of the floor, (k, 2) [m]."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
-    """(W, 4, 3)."""
+    """Corners of the walls, (W, 4, 3) [m]."""
     gauge: tuple[tuple[int, int], ...] = ()
-    """Pairs of targets whose distance is known."""
+    """Pairs of targets with a reference length."""
     elevation_min: float = -55.0 * DEGREE
     sights: Sights | None = None
     covariance: Floats | None = None
-    """(T, 3, 3)."""
+    """Covariance of each target, (T, 3, 3) [m^2]; None if unknown."""
     correction: Floats | None = None
-    """Change of the targets by a calibration or a finding, (T, 3)."""
+    """Change of the targets by a calibration or a finding, (T, 3) [m]; None if unknown."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners of the triangles of obstacles, (k, 3, 3)."""
     hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -185,7 +185,10 @@ def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
 
 
 def _reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
-    """True (T,) for reflectors that are turned toward the station before each pointing: their incidence is zero."""
+    """Flags (T,) of the reflectors that are turned towards the station before each pointing.
+
+    Their incidence is zero.
+    """
     return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 

@@ -1,4 +1,4 @@
-"""Interactive plan: accuracy of a layout whose stations are moved by hand, and its files."""
+"""Layout of a hall whose stations are moved by hand: its accuracy, and its files."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ NAME = r"\w[\w.\-]{0,39}"
 MOST_PLACES = 200
 """Largest number of places of a grid at which a further station is offered."""
 FAR = 1e6
-"""Largest coordinate [mm] of a station."""
+"""Largest magnitude of a coordinate [mm] of a station."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """Layout of a hall whose stations are moved by hand."""
+    """Layout of a hall with movable stations."""
 
     file: PlanFile
     scenario: Scenario
@@ -62,13 +62,13 @@ class Board:
 
     @classmethod
     def of(cls, source: str | Path) -> Board:
-        """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
+        """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
         named, scenario = opened(source)
         file, site = as_it_stands(named, scenario)
         return cls(file, scenario, site, planned_construction(scenario), Tolerances.of(file))
 
     def hall(self) -> dict[str, Any]:
-        """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial places of stations."""
+        """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial station positions."""
         survey, floor = self.site.survey, self.file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
@@ -101,14 +101,14 @@ class Board:
 
     @cached_property
     def _places(self) -> Floats:
-        """Places (P, 3) [m] where a further station may stand and see targets enough, `MOST_PLACES` of them."""
+        """Places (P, 3) [m] for an additional station with enough visible targets, at most `MOST_PLACES` of them."""
         search = self.file.search
         places = self.site.places(grid_step(self.site.areas, search.grid_mm), search.heights)
         places = places[:: max(1, -(-len(places) // MOST_PLACES))]
         return places[self.site.visible(places).sum(axis=1) >= FEWEST] if len(places) else places
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
-        """Survey with the given stations: `name`, `mm` (3) and `yaw` [deg] of each; raises SetupError.
+        """Survey with the given stations (`name`, `mm` (3) and `yaw` [deg] of each); raises SetupError.
 
         Additional stations take sights and order of the stations of the plan in turn.
         """
@@ -171,7 +171,7 @@ class Board:
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Verdict on rules and tolerances, also after the loss of any one station; None without tolerances."""
+        """Verdict on rules and tolerances, also after the loss of any single station; None without tolerances."""
         survey = self.survey(stations)
         if not self.demands or _touches(survey):
             return None

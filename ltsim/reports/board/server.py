@@ -36,7 +36,7 @@ MOST_BYTES = 1 << 20
 MOST_CONNECTIONS = 32
 """Largest number of simultaneous connections; a browser opens six."""
 PATIENCE = 10.0
-"""Time [s] in which a request has to arrive, however slowly it is sent."""
+"""Largest time [s] for the complete arrival of a request."""
 WAIT = 0.2
 """Time [s] between two checks for Ctrl-C."""
 HEADERS = {
@@ -46,12 +46,12 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""HTTP headers of every answer, which keep answer and address private and the page out of the frames of others."""
+"""HTTP headers of every answer: no caching, no referrer, no display in frames of other pages."""
 Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
 class StationPlace(BaseModel):
-    """A station as the page has moved it."""
+    """Station as moved on the page."""
 
     model_config = ConfigDict(strict=True)
 

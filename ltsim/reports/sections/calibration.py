@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop, Sights
 
 LEAST_CHANGE = 0.05
-"""[%] Change of a criterion from which it is reported as a change: the last digit that is shown."""
+"""Smallest change of a criterion [%] that is reported as a change: the last displayed digit."""
 SETTLED = ("", "converged", "not stated")
-"""Statuses of a fit that give no warning."""
+"""Statuses of a fit without a warning."""
 
 
 def calibration_section(content: Calibration, context: ReportContext) -> Section:

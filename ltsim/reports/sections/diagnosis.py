@@ -66,7 +66,7 @@ LEAST_UM = 0.1
 MOST_INSPECTIONS = 2
 """Largest number of actions besides the use of the coordinates."""
 MOST_STEPS = 3
-"""Smallest number of points that are drawn as a curve."""
+"""Number of points up to which a response is drawn as steps and not as a curve."""
 
 
 def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
@@ -220,7 +220,7 @@ def _finding(
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
     """Figure of a finding: its response over its regressor if it has a curve, else residuals without and with it.
 
-    None for mistakes such as gross errors and exchanged names, which are removed from both.
+    None for blunders such as gross errors and exchanged names, which are removed from both residuals.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
