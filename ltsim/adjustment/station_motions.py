@@ -1,8 +1,8 @@
-"""Stations that move while they measure: what a motion explains, no pointing is blamed for.
+"""Stations that move while they measure: motions in place of outliers.
 
-A tripod that sinks, or that somebody touched, bends all that is measured from it, and a test of single readings then
-names many of them. Where it does so, a motion of their station is tried in their place, an even one and one at once; it
-is believed where it costs less.
+A sinking or touched tripod affects all its readings, so that a test of single readings rejects many of them. In that
+case a uniform and a sudden motion of the station are tried in their place, and accepted if their penalised chi-square
+is smaller.
 """
 
 from collections.abc import Iterator
@@ -27,15 +27,17 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import Solution, solve
 
 WITNESSES = 3
-"""Targets that a motion of the station needs: what fewer show may be their own."""
+"""Smallest number of targets that must support a motion of the station; with fewer the targets may have moved."""
 
 
 @dataclass(frozen=True)
 class EvenMotion(StationMotion):
-    """An even motion of a station during its visit, by its end; no cause of the catalogue, for many make it.
+    """Uniform motion of a station during its visit, parametrised by the final displacement.
 
-    A target that is watched without a break counts at one time: what changes meanwhile may be the target's own, and
-    only who comes back to it learns of the station.
+    It is no effect of the catalogue, because many causes produce it.
+
+    Consecutive pointings to one target count at one time: changes during them may be motions of the target, and only
+    later repeats show the station's motion.
     """
 
     name = "station-motion"
@@ -45,7 +47,7 @@ class EvenMotion(StationMotion):
     parameters = StationBump.parameters
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Share of the whole motion at each pointing, for each component."""
+        """Fraction of the complete motion at each pointing, for each component."""
         longest = np.full(len(sightings.station_names), 1e-9)
         np.maximum.at(longest, sightings.station, sightings.station_time)
         share = by_runs(sightings).station_time / longest[sightings.station]
@@ -54,7 +56,7 @@ class EvenMotion(StationMotion):
 
 @dataclass(frozen=True)
 class SuddenMotion(StationBump):
-    """A motion of a station at once, in one gap between its pointings, whoever made it."""
+    """Sudden motion of a station in one gap between its pointings, of any cause."""
 
     name = EvenMotion.name
 
@@ -63,15 +65,15 @@ Motion = EvenMotion | SuddenMotion
 
 
 def by_runs(sightings: Sightings) -> Sightings:
-    """The sightings, those of a target that is watched without a break at one time."""
+    """Sightings in which consecutive pointings to one target have equal times."""
     _, run = np.unique(np.stack([sightings.station, sightings.seating]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
 def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
-    """The stations whose motion makes all but a few readings fit that do not fit otherwise, and costs less.
+    """Stations with a motion that makes most poorly fitting readings fit, with a smaller penalised chi-square.
 
-    Its price is that of its test, and that of a reading which does not belong the same (as in `reference_tests`).
+    The penalty of a motion is the limit of its test, and so is that of an outlier (as in `reference_tests`).
     """
     recording, problem, motions = adjustment.recording, adjustment.problem, list[Motion]()
     blamed = adjustment.rejected.any() or adjustment.outliers(estimated=True)
@@ -98,7 +100,7 @@ def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
 
 
 def _motions_of(adjustment: Adjustment, state: State, station: int) -> Iterator[tuple[Motion, int]]:
-    """An even motion of a station, and that at once which explains most of all its readings; each with its looks."""
+    """Uniform motion of a station, and the most significant sudden one, each with the number of tests."""
     name = adjustment.recording.stations[station]
     yield EvenMotion((name,)), 1
     use = adjustment.problem.use & ~(adjustment.gross & (adjustment.recording.station != station))[:, None]
@@ -112,7 +114,7 @@ def _motions_of(adjustment: Adjustment, state: State, station: int) -> Iterator[
 
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
-    """Each motion of a station among an adjustment's effects that no cause has, and a sentence on it."""
+    """Motions of stations in an adjustment that no identified cause explains, and a sentence on each."""
     first = 0
     for effect in adjustment.effects:
         columns = slice(first, first := first + len(effect.parameters))
@@ -135,13 +137,13 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
 
 
 def _length(vector: Floats, covariance: Floats, unit: str) -> str:
-    """The length of a vector (3,) with its standard deviation, in words."""
+    """Text of the length of a vector (3,) with its standard deviation."""
     length = float(np.linalg.norm(vector))
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)
 
 
 def _suspects(problem: NetworkProblem, accepted: NetworkProblem) -> list[int]:
-    """Stations of which readings to several targets do not fit, that of most readings first."""
+    """Stations with poorly fitting readings to several targets, those with most readings first."""
     recording, out = problem.model.recording, problem.use & ~accepted.use
     rows = out.any(axis=1)
     pairs = np.unique(np.stack([recording.station[rows], recording.target[rows]]), axis=1)
@@ -150,7 +152,7 @@ def _suspects(problem: NetworkProblem, accepted: NetworkProblem) -> list[int]:
 
 
 def _with_motion(problem: NetworkProblem, state: State, motion: Motion) -> tuple[NetworkProblem, State]:
-    """The problem with a further effect, and a state of it."""
+    """Problem with an additional effect, and its state."""
     effects = problem.model.effects
     model = replace(problem.model, effects=(*effects, motion))
     before = sum(len(effect.parameters) for effect in effects)

@@ -14,7 +14,7 @@ from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
 LEVEL = 0.05
 ONLY_A_FEW = 0.05
-"""Share of readings up to which outliers are single errors and not the noise itself."""
+"""Largest fraction of readings that are outliers at which they count as single errors and not as wrong noise."""
 
 
 NOISE_KEYS = {
@@ -43,7 +43,7 @@ class Verdict:
 
     case: Agreement
     sentence: str
-    """The verdict and why, for a person."""
+    """Sentence with the verdict and its reason."""
     by_estimate: bool
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
@@ -59,7 +59,7 @@ def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
 
 
 def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
-    """Single errors where leaving them out heals the global test, other noise where it does not."""
+    """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: nothing can be tested, the stated noise holds."
@@ -112,9 +112,10 @@ def _reasons(adjustment: Adjustment) -> str:
 
 
 def noise_to_declare(adjustment: Adjustment, level: float = LEVEL) -> str:
-    """Advice on the noise to declare where readings scatter less than declared, in a sentence; empty where none do.
+    """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
 
-    Observables are taken one by one: their residuals' sum of squares over their redundancy, below what chance leaves.
+    Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
+    chance permits.
     """
     problem, recording = adjustment.problem, adjustment.recording
     scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
@@ -140,7 +141,7 @@ def noise_to_declare(adjustment: Adjustment, level: float = LEVEL) -> str:
 
 
 def _by_targets(adjustment: Adjustment) -> str:
-    """The targets whose own readings scatter far more than all others, in words."""
+    """Text of the targets whose readings scatter far more than all others."""
     named, scatter, rest = adjustment.noisy_targets
     if not len(named):
         return ""

@@ -1,4 +1,4 @@
-"""Tests of all stations of a recording together: agreement on their common targets and on the vertical."""
+"""Tests of all stations of a recording together: agreement on common targets and on the vertical."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -26,9 +26,9 @@ from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import median_deviation
 
 NETWORK_TESTS = 2
-"""Tests of all stations together: common targets, and levels."""
+"""Number of tests of all stations together: common targets, and levels."""
 TESTED: tuple[Kind, ...] = ("point", "difference", "length", "mark", "scale")
-"""Known values that may be left out; levels are tested one by one."""
+"""Kinds of reference values that may be excluded; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
 EXPLAINED = 0.05
@@ -36,7 +36,7 @@ EXPLAINED = 0.05
 
 
 def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
-    """The network as `adjust` has it, with stations that moved, or why there is none."""
+    """Network as of `adjust`, with moving stations, or the error if there is none."""
     try:
         plain = adjust(recording, effects=motions, robust=bool(motions), judging=TESTED)
         require_usable(plain)
@@ -46,10 +46,10 @@ def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adj
 
 
 def with_target_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, tuple[Item, ...]]:
-    """The recording with readings to targets that scatter far more than all others as uncertain as they show.
+    """Recording with the noise of much noisier targets set to their scatter, and items on them.
 
-    What `adjust` says of such targets is an item where they still do beside the instrument's errors, which bend the
-    readings to near and steep ones most; none of their pointings is one to measure again for that alone.
+    Noisy targets reported by `adjust` give an item if they remain noisy when the instrument's errors are estimated,
+    since these affect near and steep targets most. Their pointings need not be repeated for that reason alone.
     """
     if plain.rejected_references or not len(plain.noisy_targets[0]):
         return recording, ()
@@ -80,8 +80,8 @@ def items_of_network(
 ) -> tuple[Item, ...]:
     """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
 
-    `plain` is the network of `adjust`, with the declared noise even if the recording is one `with_target_noise`;
-    `motions` of stations were estimated from their single set-ups.
+    `plain` is the network of `adjust` with the declared noise, even for a recording with increased noise of targets;
+    `motions` of stations were estimated from single set-ups.
     """
     try:
         built = declared_construction(recording)
@@ -144,7 +144,10 @@ def _at_work(without: Adjustment, fitted: Adjustment) -> bool:
 
 
 def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list[Item]:
-    """Items on the agreement of the stations without pointings `is_explained` (n,) by a blunder, the worst first."""
+    """Items on the agreement of the stations, the worst first.
+
+    Pointings that a blunder explains (`is_explained` (n,)) are excluded.
+    """
     recording, out = fitted.recording, fitted.rejected.any(axis=1) & ~is_explained
     alone, less = two_sided(fitted.chi2, fitted.dof)
     p = family.adjusted(alone)
@@ -167,7 +170,7 @@ def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list
 
 
 def _of_levels(fitted: Adjustment, family: Family) -> list[Item]:
-    """The level of each levelled station against the vertical of the others, through their common targets."""
+    """Items on the level of each levelled station relative to the vertical of the others, by their common targets."""
     items, levels = [], fitted.problem.levels
     declared = {fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station, levels.sigma, strict=True)}
     for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
