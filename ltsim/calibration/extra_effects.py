@@ -38,7 +38,7 @@ class RequestedEffect:
     fixed: frozenset[str] = frozenset()
 
     def check(self, recording: Recording, construction: Construction) -> None:
-        """Raise ModelError where it cannot be estimated with the calibration of a recording."""
+        """Check that it can be estimated with the calibration of a recording; raises ModelError."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
             how = f"use {option('noise_from_data=True')} to estimate the noise"
@@ -117,7 +117,7 @@ def _settled(
 
 
 def name_of(effect: Signature, adjustment: Adjustment) -> str:
-    """The name of an effect; that of a law are its words."""
+    """Name of an effect; for a law its text form."""
     if not isinstance(effect, Law):
         return effect.name
     suffix = AT_EACH_SET_UP if effect.each else ""

@@ -24,9 +24,9 @@ class CourseEntry(Entry):
     unit: str = ""
     """Unit of all numbers of the entry."""
     values: tuple[Finite, ...]
-    """Estimates, one a calibration."""
+    """Estimates, one per calibration."""
     sigmas: tuple[NotNegative, ...]
-    """Standard deviations of the estimates, one a calibration."""
+    """Standard deviations of the estimates, one per calibration."""
     prior_sigma: OptionalFloat = None
     """Prior standard deviation of the parameter."""
     mean: Finite
@@ -34,7 +34,7 @@ class CourseEntry(Entry):
     spread: Finite
     """Standard deviation over the calibrations."""
     constant: ChiSquareEntry
-    """Test that it did not change."""
+    """Test that the parameter did not change."""
 
 
 class CalibrationOf(Entry):
@@ -103,24 +103,24 @@ class History(ResultFile):
     construction: str = ""
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     calibrations: tuple[CalibrationOf, ...] = Field(min_length=1)
-    """Calibrations in the order of time."""
+    """Calibrations in chronological order."""
     parameters: tuple[CourseEntry, ...] = ()
-    """Each over the calibrations."""
+    """Course of each parameter over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
-    """Covariance of the means, in the parameters' units; combinations that no calibration determines keep the prior."""
+    """Covariance of the means, in the parameters' units; combinations that no calibration determines have the prior."""
     constant: ChiSquareEntry | None = None
-    """Test that nothing changed."""
+    """Test that no parameter changed."""
     changes: tuple[ChangeEntry, ...] = ()
     """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
-    """Significant steps; empty also where there are too few calibrations to test them."""
+    """Significant steps; empty also for too few calibrations."""
     since_first: ChangeEntry
     """Change between the first and the last calibration."""
     _series: CalibrationSeries | None = PrivateAttr(None)
 
     @classmethod
     def of(cls, series: CalibrationSeries) -> Self:
-        """The result of a series: parameters in the units a person reads, tests as chi-square."""
+        """Result of a series, with parameters in units of display."""
         factors = np.array([p.factor for p in series.construction.parameters])
         made = cls(
             construction=series.construction.name,
@@ -140,7 +140,7 @@ class History(ResultFile):
 
     @property
     def series(self) -> CalibrationSeries:
-        """The calibrations as arrays; raises ModelError for a history that was read from a file."""
+        """Calibrations as arrays; raises ModelError for a history that was read from a file."""
         if self._series is None:
             raise ModelError("a history read from a file has no calibrations; call lt.history with them")
         return self._series
