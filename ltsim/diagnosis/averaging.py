@@ -30,13 +30,15 @@ from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.variance import VarianceFunction
 
 WORSE, HARM = 0.05, 0.03
-"""Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
+"""Permitted relative increase of the coordinate error when the shift of a law is subtracted, and probability that it is
+exceeded.
+"""
 MOST_OPEN, LEAST = 12, 0.003
-"""Largest number of averaged explanations, and the probability below which one is dropped (cost)."""
+"""Largest number of averaged explanations, and smallest probability of one (cost)."""
 
 
 def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
-    """Targets of a refit, shifted to the average over the alternative explanations of each member."""
+    """Targets of a refit, averaged over the alternative explanations of each member."""
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
     points = fitted.adjustment.state.points - first_order_shift(searcher, searcher.with_members(refitted))
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
@@ -57,7 +59,10 @@ def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Rankin
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
-    """Largest share of a change (T, 3) [m] that hardly makes targets worse; explanations deviate by (k, T, 3) [m]."""
+    """Largest fraction of a change (T, 3) [m] that hardly increases target errors.
+
+    Explanations deviate by (k, T, 3) [m].
+    """
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
     shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
@@ -69,9 +74,9 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
 
 
 def safe_share(size: float, spread: float, noise: float) -> float:
-    """The largest share t of s to take off, with which t^2 s's - 2 t (s's + s'e) is small but for a chance of `HARM`.
+    """Largest fraction t of the shift s for which t^2 s's - 2 t (s's + s'e) is small except with probability `HARM`.
 
-    Small is ((1 + WORSE)^2 - 1) (s's + e'e), e'e at its expectation.
+    The limit is ((1 + WORSE)^2 - 1) (s's + e'e), with e'e at its expectation.
 
     Parameters
     ----------
@@ -90,7 +95,7 @@ def model_weights(
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the shift (k, T, 3) [m] of the targets by each.
 
-    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, shift no target.
+    Log evidences are divided by `temperature`. Changes of the noise do not shift targets.
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
@@ -111,7 +116,7 @@ def _is_noise(hypothesis: Hypothesis) -> bool:
 
 
 def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
-    """An explanation at its most probable shapes, and their probabilities."""
+    """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
     )
@@ -132,7 +137,7 @@ def first_order_shift(searcher: Searcher, model: Model) -> Floats:
 
 
 def shift_of(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
-    """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk by its prior, is taken out."""
+    """Shift (T, 3) [m] of the adjusted targets by an explanation whose size is shrunk by its prior."""
     moments = searcher.exact.moments([hypothesis.effect], others)[0]
     mean = posterior(*moments, hypothesis.spread)[0]
     return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)
