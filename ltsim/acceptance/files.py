@@ -92,7 +92,7 @@ class WorstEntry(Entry):
 
 
 class AcceptanceFile(ResultFile):
-    """Result of `accept` (`accept.json`)."""
+    """`accept.json`: the result of `accept`."""
 
     FILE: ClassVar[str] = "accept.json"
     format: Literal["ltsim-accept/1"] = "ltsim-accept/1"

@@ -232,8 +232,8 @@ def processor() -> str:
 def commit() -> str | None:
     """Commit of the ltsim checkout from which the package runs.
 
-    None if it runs from elsewhere, such as an environment inside the checkout of another project: git then does not
-    track the package, or the root of the checkout is not the folder of the package.
+    It is None if it runs from elsewhere, such as an environment inside the checkout of another project: git then does
+    not track the package, or the root of the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
     asked = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])

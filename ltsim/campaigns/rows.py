@@ -85,7 +85,7 @@ class Prepared:
     def elsewhere(self) -> Judge | None:
         """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
 
-        None without one.
+        It is None without one.
         """
         return None if self.judge is None else Judge(truth_of(self.judge, self.campaign.seed, JUDGE))
 
@@ -225,7 +225,7 @@ class TrialBlock:
     def new_points(self) -> tuple[Judge, Block, Columns] | None:
         """Held-out points measured by the same instruments, with independent noise and equal sizes of effects.
 
-        None without `judge_in`.
+        It is None without `judge_in`.
         """
         if self.elsewhere is None:
             return None

@@ -225,7 +225,7 @@ ERRORS = Table(
 
 
 class ManifestFile(ResultFile):
-    """Contents of `manifest.json`: definition of a campaign, written before its first row and when it is extended."""
+    """`manifest.json`: definition of a campaign, written before its first row and when it is extended."""
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"

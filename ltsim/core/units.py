@@ -121,7 +121,7 @@ def same_kind(unit: str, other: str) -> bool:
 def in_unit(text: str, unit: str) -> float | None:
     """Number in another unit of the same kind, from a text with its unit such as ``2 urad``.
 
-    None if the text is no such quantity.
+    It is None if the text is no such quantity.
     """
     match = _QUANTITY.fullmatch(text)
     if match is None:

@@ -75,7 +75,7 @@ class Displacement(Entry):
 
 
 class Comparison(ResultFile):
-    """Result of `compare` (`comparison.json`); `recording` is the first epoch."""
+    """`comparison.json`: the result of `compare`; `recording` is the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"

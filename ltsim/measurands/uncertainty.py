@@ -180,7 +180,7 @@ class TaskResult(Entry):
 
 
 class Uncertainty(ResultFile):
-    """Result of `uncertainty` (`uncertainty.json`): results of tasks with their uncertainty."""
+    """`uncertainty.json`: the result of `uncertainty`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"

@@ -79,7 +79,7 @@ NEXT = Table(
 
 
 class NextMeasurement(ResultFile):
-    """Result of `next_measurement` (`next.json`), written by `plan --after`."""
+    """`next.json`: the result of `next_measurement`, written by `plan --after`."""
 
     FILE: ClassVar[str] = "next.json"
     format: Literal["ltsim-next/1"] = "ltsim-next/1"

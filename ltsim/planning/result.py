@@ -31,7 +31,7 @@ FRAME = (
 
 
 class Plan(ResultFile, LayoutEntry):
-    """Result of planning (`plan.json`)."""
+    """`plan.json`: the result of planning."""
 
     FILE: ClassVar[str] = "plan.json"
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"

@@ -264,7 +264,7 @@ class Placement:
     def _best(self, others: list[int], wanted: int, rng: np.random.Generator | None) -> int:
         """Place that adds most sights to the others, with a small weight for sights beyond the wanted number.
 
-        -1 if none is permitted.
+        It is -1 if none is permitted.
         """
         count = len(self.position)
         rows = np.arange(count) if rng is None else rng.integers(count, size=min(DRAWS, count))

@@ -7,7 +7,7 @@ from ltsim.recordings.keys import NonNegative, TomlSection
 class Air(TomlSection):
     """Uncertainty of the air along the beams: standard deviations of the properties that were not measured.
 
-    0 for a measured one.
+    It is 0 for a measured one.
     """
 
     temperature_k: NonNegative = 0.5

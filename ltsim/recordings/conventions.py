@@ -165,7 +165,7 @@ def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[t
 def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
     """Unit and kind of vertical angle under which two stations see equal lengths between targets.
 
-    None if several do.
+    It is None if several do.
     """
     gaps = [chord_gap(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_]
     if not np.all(np.isfinite(gaps)):
@@ -242,7 +242,7 @@ def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Fl
 def _misfits(source: Floats, goal: Floats) -> list[float]:
     """Median misfits [m] of points (n, 3) and of their mirror image after rigid alignment to others.
 
-    1 if no alignment exists.
+    It is 1 if no alignment exists.
     """
     misfits = []
     for side in (1.0, -1.0):

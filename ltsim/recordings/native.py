@@ -330,7 +330,7 @@ def table_of(recording: Recording) -> list[list[str]]:
 def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
     """Numbers in `unit` as texts: with `digits` decimals if they are exact then, otherwise with all digits.
 
-    Empty for NaN.
+    It is empty for NaN.
     """
     there = np.isfinite(values)
     numbers = (values[there] / unit).tolist()

@@ -207,7 +207,7 @@ def inside(outline: Floats, places: Floats) -> Bools:
 def fault(outline: Floats) -> str:
     """Reason why corners (k, 2) do not form an outline, as text.
 
-    Empty for an outline that does not cross itself and has an area.
+    It is empty for an outline that does not cross itself and has an area.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
     same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE)
@@ -253,7 +253,7 @@ def objection(
 ) -> str:
     """Reason why no tripod may stand under an instrument position (3,) [m], with the key of the plan file.
 
-    Empty if one may.
+    It is empty if one may.
     """
     if may_stand(areas, keep_outs, obstacles, position[None])[0]:
         return ""

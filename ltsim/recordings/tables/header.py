@@ -307,7 +307,7 @@ def _titled(text: str) -> tuple[str, str]:
 def _places(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
     """Position of a title, or positions of degrees, minutes and seconds that `title` joins by plus signs.
 
-    None if missing.
+    It is None if missing.
     """
     place = _place(fields, title)
     if place is not None or "+" not in title:

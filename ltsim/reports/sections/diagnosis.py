@@ -220,7 +220,7 @@ def _finding(
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
     """Figure of a finding: its response over its regressor if it has a curve, else residuals without and with it.
 
-    None for blunders such as gross errors and exchanged names, which are removed from both residuals.
+    It is None for blunders such as gross errors and exchanged names, which are removed from both residuals.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
