@@ -13,15 +13,15 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
-UNSEEN = 1e-6
+ROUNDING_SHARE = 1e-6
 """Fraction of a limit that a constant of usual size may cause by rounding alone."""
-PLAUSIBLE = 3.0
+MAX_PRIOR_SIGMAS = 3.0
 """Number of prior standard deviations within which an instrument that passes despite large errors is searched."""
 
 
@@ -138,19 +138,19 @@ class AcceptancePlan:
         at = np.argmax(per_unit, axis=0)
         most = per_unit[at, np.arange(len(at))]
         usual = np.array([p.prior_sigma for p in self.construction.parameters])
-        size = np.where(most * usual > UNSEEN, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
+        size = np.where(most * usual > ROUNDING_SHARE, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
         return size, [self.tests[i] for i in at]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
         """Constants (p,) [SI] with the largest errors of points (n, 3) [m] that still meet every limit.
 
         Also returned are the root mean square and the largest error of these points [m]. The search is along the
-        directions with the largest ratio of point errors to test errors, up to the limits and to `PLAUSIBLE` prior
-        standard deviations (p,).
+        directions with the largest ratio of point errors to test errors, up to the limits and to `MAX_PRIOR_SIGMAS`
+        prior standard deviations (p,).
         """
-        harm = harm_of(self.construction, points, prior)
+        harm = point_errors_by_constant(self.construction, points, prior)
         directions = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
-        bound = directions.T @ directions + np.eye(len(prior)) / PLAUSIBLE**2
+        bound = directions.T @ directions + np.eye(len(prior)) / MAX_PRIOR_SIGMAS**2
         root = np.linalg.inv(np.linalg.cholesky(bound))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
         tried = np.array([self._stretched(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
@@ -161,8 +161,8 @@ class AcceptancePlan:
 
     def _stretched(self, direction: Floats, prior: Floats) -> Floats:
         """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""
-        low, high = 0.0, PLAUSIBLE
-        while high - low > 1e-3 * PLAUSIBLE:
+        low, high = 0.0, MAX_PRIOR_SIGMAS
+        while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
             middle = (low + high) / 2
             passes = self.within(self.errors(middle * direction * prior)).all()
             low, high = (middle, high) if passes else (low, middle)
@@ -184,7 +184,7 @@ class AcceptancePrediction:
     """Probability that all tests of a group pass."""
 
 
-def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats:
+def point_errors_by_constant(construction: Construction, points: Floats, scale: Floats) -> Floats:
     """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by each constant of size `scale`, after a best fit.
 
     A rigid motion of all points is not counted.
@@ -195,7 +195,7 @@ def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats
         for s in np.diag(scale)
     ]
     moved = np.stack([c.ravel() for c in columns], axis=1)
-    return less_rigid(moved, points - points.mean(axis=0))
+    return without_rigid_motion(moved, points - points.mean(axis=0))
 
 
 def _root(covariance: Floats) -> Floats:

@@ -17,14 +17,14 @@ from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.settings import checked, read_toml
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.recordings.specification import Specification, completed, sheet
+from ltsim.recordings.specification import Specification, completed_figures, sheet
 from ltsim.recordings.tables.sheets import table_rows
 
 Kind = Literal["length", "two-face"]
 COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-LENGTH = 2.3
+MIN_REFERENCE_LENGTH = 2.3
 """[m] Shortest reference length of ASME B89.4.19-2006."""
-NEAREST = 1.2
+NEAR_DISTANCE = 1.2
 """[m] Distance of the instrument from the reference length in the tests at the closest position."""
 Standard = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
 LENGTHS_OPEN: Standard = "iso-10360-10"
@@ -59,7 +59,7 @@ def asme(height: float, ranges: Sequence[float]) -> list[Test]:
     """
     quarters = (0, 90, 180, 270)
     tests = list(_two_faces((1.0, 3.0, 6.0), height, quarters))
-    tests.append(_bar("horizontal", 0.0, NEAREST, 0))
+    tests.append(_bar("horizontal", 0.0, NEAR_DISTANCE, 0))
     for group, tilt in (("horizontal", 0.0), ("vertical", 90.0), ("right diagonal", 45.0), ("left diagonal", 135.0)):
         tests += [_bar(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
     near, *others = ranges
@@ -89,7 +89,7 @@ def _two_faces(distances: Sequence[float], height: float, turns: Sequence[int]) 
 
 def _bar(group: str, tilt: float, away: float, turn: int) -> Test:
     """Test with a reference length centred in front of the head at its height, tilted about the line of sight."""
-    half = LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
+    half = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
     middle = np.array([away, 0.0, 0.0])
     ends = _turned(middle - half, turn), _turned(middle + half, turn)
     return Test(f"{group} {away:g} m {turn} deg", group, "length", *ends)
@@ -262,7 +262,7 @@ def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     name, specification = data.get("instrument"), data.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            data = {**data, "specification": completed(name, specification)}
+            data = {**data, "specification": completed_figures(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
     return checked(data, Acceptance, "acceptance file", file)

@@ -17,7 +17,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar
-from ltsim.physics.model.construction import declared_construction, of_design
+from ltsim.physics.model.construction import construction_of_design, declared_construction
 from ltsim.recordings import read
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.recording import Recording
@@ -60,14 +60,14 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
     if acceptance.recording is not None:
         recording = read(folder / acceptance.recording)
         result = by_network(recording, limits)
-        return judged(result, acceptance, recording=recording)
+        return evaluated_result(result, acceptance, recording=recording)
     tests = acceptance.plan_of(folder)
     nominal = limits.instrument(acceptance.construction)
-    built = of_design(acceptance.construction)
+    built = construction_of_design(acceptance.construction)
     if acceptance.measured is not None:
         plan = AcceptancePlan(tests, built, limits, nominal.noise)
         errors = read_measured(folder / acceptance.measured, tests, plan.limits)
-        return judged(errors, acceptance, remaining=len(tests) - len(errors))
+        return evaluated_result(errors, acceptance, remaining=len(tests) - len(errors))
     calibration = None if acceptance.calibration is None else _usable_calibration(folder / acceptance.calibration)
     built = built if calibration is None else calibration.construction
     prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
@@ -92,7 +92,7 @@ def _usable_calibration(path: Path) -> Calibration:
     return calibration
 
 
-RATIO = 4.0
+MIN_UNCERTAINTY_RATIO = 4.0
 """Smallest ratio of limit to expanded uncertainty for simple acceptance of an error (ASME B89.7.3.1)."""
 
 
@@ -209,13 +209,13 @@ def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, d
     return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))
 
 
-def judged(
+def evaluated_result(
     tests: Sequence[TestEntry], acceptance: Acceptance, *, remaining: int = 0, recording: Recording | None = None
 ) -> AcceptanceFile:
     """Result for measured errors; `remaining` is the number of tests without one."""
     groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
     failed = sorted((t for t in tests if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6))
-    blunt = sum((t.expanded_um or 0.0) * RATIO > t.limit_um for t in tests)
+    blunt = sum((t.expanded_um or 0.0) * MIN_UNCERTAINTY_RATIO > t.limit_um for t in tests)
     sentence = f"all {len(tests)} errors are within their limits"
     if failed:
         w = failed[0]

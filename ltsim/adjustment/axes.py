@@ -22,7 +22,7 @@ from ltsim.physics.model.measurement import verticals
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import shown
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import LEAST_SIGMA, Axes, Target
+from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 CLEARLY = 10.0
 SHAPE = 0.05
@@ -113,7 +113,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
         if name not in recording.targets or not is_given.any():
             continue
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
-        if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= LEAST_SIGMA):
+        if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
             message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             raise RecordError(f"{message}; coordinates without weight go with --frame", file=path, row=line)
         update = {

@@ -19,7 +19,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.model.measurement import State
-from ltsim.solve.design import FORMED, unit_diagonal
+from ltsim.solve.design import NORMAL_RANK_TOLERANCE, unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
 PASSES = 5
@@ -126,7 +126,7 @@ class InnerDatum:
         held = np.zeros_like(motion)
         held[columns.ravel()] = motion[columns.ravel()]
         square = held.T @ motion
-        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > FORMED:
+        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
             raise ModelError("these targets do not define a datum: choose at least three off one line")
         back = np.linalg.inv(square)
         response = spread(held)

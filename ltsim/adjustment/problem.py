@@ -257,7 +257,7 @@ class NetworkProblem(NetworkRows):
         """
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
-        lengths -= lengths > 0 and not self.gauge.tell_scale
+        lengths -= lengths > 0 and not self.gauge.determine_scale
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisances)
         references = self.control.count + self.mark_control.count + self.differences.count
         references += lengths + 2 * len(self.levels) + len(self.yaws) + priors + nuisances

@@ -12,7 +12,7 @@ import scipy.linalg
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap
-from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
+from ltsim.geometry.rigid import COLLINEAR_RATIO, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
 from ltsim.physics.model.measurement import verticals
 from ltsim.recordings.recording import Recording
@@ -340,7 +340,7 @@ def free_motions(
     if not rows:
         return np.eye(6)
     _, singular, right = np.linalg.svd(np.vstack(rows))
-    rank = int(np.sum(singular > ON_A_LINE * singular.max(initial=0.0)))
+    rank = int(np.sum(singular > COLLINEAR_RATIO * singular.max(initial=0.0)))
     free = right[rank:].T
     free[3:] /= reach
     free /= np.linalg.norm(free, axis=0, keepdims=True)

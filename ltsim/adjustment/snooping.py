@@ -15,11 +15,11 @@ from ltsim.adjustment.stochastic_model import reweighted
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
-from ltsim.geometry.rigid import holds_pose
+from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.model.construction import ideal
 from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
 from ltsim.recordings.recording import Recording
-from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, median_deviation, unit_diagonal
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
@@ -119,7 +119,7 @@ def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
     )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
-    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT)
+    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
 def pose_defect(problem: NetworkProblem, state: State) -> str:
@@ -134,7 +134,7 @@ def pose_defect(problem: NetworkProblem, state: State) -> str:
     vertical = np.full((len(sighted), 3), np.nan)
     vertical[problem.levels.station] = problem.levels.vertical
     free = np.array([not name for name in marks.names]) & sighted.any(axis=1)
-    few = np.flatnonzero(free & ~holds_pose(state.points, sighted, vertical))
+    few = np.flatnonzero(free & ~determines_pose(state.points, sighted, vertical))
     if not len(few):
         return ""
     levelled = few[0] in problem.levels.station

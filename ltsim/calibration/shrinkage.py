@@ -26,7 +26,7 @@ from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
 from ltsim.calibration.schema import Correction
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
 
@@ -248,7 +248,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
         instrument = int(recording.instrument[rows[0]])
         readings, values = recording.readings[rows], state.instrument[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
-        error = less_rigid(by_value.reshape(-1, size), points)
+        error = without_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error
     return total / max(int(whole.sum()), 1)

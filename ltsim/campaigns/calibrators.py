@@ -17,24 +17,24 @@ from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import Calibrated, Calibrator, Engine, Single, suspects
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.engine import BatchCalibrator, Calibrated, Calibrator, SerialCalibrator, suspects
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.kernels import readings_of
-from ltsim.campaigns.network import BatchNetwork, NetworkKnowns
+from ltsim.campaigns.network import BatchNetwork, SharedQuantities
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import Block, CellTruth
+from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, built_as
+from ltsim.physics.model.construction import Construction, construction_with_orders
 from ltsim.physics.model.measurement import State
-from ltsim.simulation.draws import Normal
+from ltsim.simulation.draws import NormalSource
 
 
 def fitted_construction(method: Method) -> Construction:
     """The construction whose parameters a method estimates."""
-    return built_as(method.construction, method.harmonics, method.degree)
+    return construction_with_orders(method.construction, method.harmonics, method.degree)
 
 
 def fitted_effects(method: Method) -> tuple[Effect, ...]:
@@ -48,14 +48,14 @@ def calibrator_of(method: Method, truth: CellTruth) -> Calibrator:
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
     built, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
-        return Single(truth, built, effects, method.method, applied=method.applied)
+        return SerialCalibrator(truth, built, effects, method.method, applied=method.applied)
     if method.method != "network":
         return BatchDistance(truth, built, method=method.method)
-    return Engine(truth, built, effects)
+    return BatchCalibrator(truth, built, effects)
 
 
 @dataclass(frozen=True)
-class Stack(CellTruth):
+class GeometryStack(CellTruth):
     """True geometries of trials whose stations see the same targets; the last index of geometry arrays is the trial."""
 
     truths: tuple[CellTruth, ...] = ()
@@ -119,9 +119,9 @@ class Stack(CellTruth):
         readings_of(program, which, self.local, self.jacobian, values, deviation)
         return deviation
 
-    def draw_trials(self, seed: int, numbers: Ints) -> Block:
+    def draw_trials(self, seed: int, numbers: Ints) -> TrialBatch:
         """Random values of the trials with these numbers."""
-        each = Normal(seed, numbers).per_trial()
+        each = NormalSource(seed, numbers).per_trial()
         draws = [
             truth.population.draw(numbers_of_trial) for truth, numbers_of_trial in zip(self.truths, each, strict=True)
         ]
@@ -136,21 +136,21 @@ class Stack(CellTruth):
         )
         gauge_error = np.concatenate([block.gauge_error for block in alone], axis=1)
         deviation = self.gathered(block.deviation[:, :, 0] for block in alone)
-        return Block(numbers, values, amounts, deviation, gauge_error, alone)
+        return TrialBatch(numbers, values, amounts, deviation, gauge_error, alone)
 
 
-def stacks(truths: dict[int, CellTruth]) -> Iterator[tuple[Stack, Ints]]:
+def stacks(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
     """Stacks of trials with equal sightings and equal criteria, with the numbers of their trials."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
-        judge = Judge(truth)
+        judge = TrialEvaluator(truth)
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.measured.all(axis=0).all()
         pattern = np.sort(_keys(truth)).tobytes() if whole else number
         key = (*names, pattern, judge.comparable, judge.fitted.tobytes())
         groups.setdefault(key, []).append(number)
     for numbers in groups.values():
-        yield Stack.of(tuple(truths[number] for number in numbers)), np.array(numbers)
+        yield GeometryStack.of(tuple(truths[number] for number in numbers)), np.array(numbers)
 
 
 def _keys(truth: CellTruth) -> Ints:
@@ -163,11 +163,11 @@ def _keys(truth: CellTruth) -> Ints:
 class StackCalibrator(Calibrator):
     """Calibrator of a stack: all trials in a batch, those that fail there or have no batch method one by one."""
 
-    truth: Stack
+    truth: GeometryStack
     asked: Method = field(default_factory=Method)
 
     @classmethod
-    def of(cls, method: Method, stack: Stack) -> Self:
+    def of(cls, method: Method, stack: GeometryStack) -> Self:
         """Calibrator of a stack by a method of the campaign file."""
         first = calibrator_of(method, stack.truths[0])
         return cls(stack, first.construction, first.effects, method.method, method)
@@ -176,7 +176,7 @@ class StackCalibrator(Calibrator):
         """Calibrator of a single trial."""
         return calibrator_of(self.asked, self.truth.truths[trial])
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
         """Calibrated trials of a block; a trial whose geometry leaves parameters undetermined has failed."""
         calibrated = Calibrated.none(self.truth, self.construction, self.effects, len(block.alone))
         together = self.method == "network" and self.asked.solver == "batch" and not self.effects
@@ -189,16 +189,16 @@ class StackCalibrator(Calibrator):
             calibrated.take(trial, single, 0)
         return calibrated
 
-    def _together(self, block: Block, calibrated: Calibrated) -> Ints:
+    def _together(self, block: TrialBatch, calibrated: Calibrated) -> Ints:
         """Trials that the batch did not calibrate; results of the others are stored in `calibrated`."""
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_of(built)
         parts: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal[:, :, k])
-            shared = NetworkKnowns(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
+            shared = SharedQuantities(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
             parts.append(BatchNetwork(recording, truth.state, built, program, shared=shared, recorded=truth.recorded))
-        network = Stacked(stack.recording, stack.state, built, program, parts=tuple(parts))
+        network = StackedNetwork(stack.recording, stack.state, built, program, parts=tuple(parts))
         try:
             fit = network.fit(block.deviation, block.gauge_error)
         except SetupError:
@@ -210,7 +210,7 @@ class StackCalibrator(Calibrator):
             calibrated.take(int(trial), together, int(trial))
         return np.flatnonzero(doubtful)
 
-    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
+    def difference(self, block: TrialBatch, trial: int, calibrated: Calibrated) -> float:
         """Difference between a trial and the full solver, as in `Calibrator`."""
         selected = slice(trial, trial + 1)
         arrays = calibrated.values[..., selected], calibrated.sigma[..., trial], calibrated.points[..., selected]
@@ -219,7 +219,7 @@ class StackCalibrator(Calibrator):
 
 
 @dataclass(frozen=True)
-class Stacked(BatchNetwork):
+class StackedNetwork(BatchNetwork):
     """Networks with equal pointings at different positions, one per trial, adjusted together.
 
     The last index of its state and program is the trial; `recording` is that of the first trial.
@@ -260,7 +260,7 @@ class Stacked(BatchNetwork):
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property
-    def _felt(self) -> tuple[Ints, Floats, Floats]:
+    def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
         count = 3 * len(self.recording)
         flat = [part._extra_design.reshape(count, -1) for part in self.parts]
         rows = np.flatnonzero(np.any([design.any(axis=1) for design in flat], axis=0))
@@ -269,8 +269,8 @@ class Stacked(BatchNetwork):
         return rows, design, design / sigma[:, :, None]
 
     @cached_property
-    def _others(self) -> tuple[Floats, Floats]:
-        designs, nominal = zip(*(part._others for part in self.parts), strict=True)
+    def _other_design(self) -> tuple[Floats, Floats]:
+        designs, nominal = zip(*(part._other_design for part in self.parts), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
     def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:

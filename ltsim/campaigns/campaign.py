@@ -36,9 +36,9 @@ from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
 
-DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
+VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose version can change the bytes of a row."""
-GROWS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
+EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
 """Keys of the campaign file that may be extended while existing rows remain valid."""
 Progress = Callable[[int], None]
 
@@ -106,7 +106,7 @@ def run_campaign(
         if force and not resume:
             store.clear()
         if store.begun:
-            campaign, cells = _grown(store, campaign, cells, file, resume=resume)
+            campaign, cells = _extended(store, campaign, cells, file, resume=resume)
             notes += _check_same(store)
         manifest = _manifest(campaign, factors, cells)
         made_here = {name: getattr(manifest, name) for name in ("commit", "processor", "versions")}
@@ -115,7 +115,7 @@ def run_campaign(
         store.sweep()
         done, existing = 0, 0
         for wanted in rounds(campaign, len(cells), partial(_half_intervals, folder)):
-            waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
+            waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
@@ -158,7 +158,7 @@ def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell],
     return idle
 
 
-def _grown(
+def _extended(
     store: Store, campaign: Campaign, cells: tuple[Cell, ...], file: Path, *, resume: bool
 ) -> tuple[Campaign, tuple[Cell, ...]]:
     """Campaign of the folder extended by the additions of the file; existing cells keep their numbers.
@@ -180,7 +180,9 @@ def _grown(
         same = next((cell for cell in remaining if cell.mark == old.mark), None)
         if same is None:
             now = campaign.model_dump(mode="json", by_alias=True)
-            changed = [key for key in now if key not in GROWS and before.get(key) != now[key]] or ["the scenario"]
+            changed = [key for key in now if key not in EXTENDABLE_KEYS and before.get(key) != now[key]] or [
+                "the scenario"
+            ]
             raise SetupError(
                 f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
                 f"continue with {store.folder / SOURCE}, or begin anew with another --out"
@@ -200,11 +202,11 @@ def _grown(
 def _check_same(store: Store) -> list[str]:
     """Notes on changes since the start (code, processor).
 
-    Raises SetupError for other versions of the packages in `DECIDING`.
+    Raises SetupError for other versions of the packages in `VERSIONED_PACKAGES`.
     """
     manifest = store.manifest()
     then, today = manifest.versions, _versions()
-    for name in DECIDING:
+    for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:
             before = shown(str(then.get(name)))
             raise SetupError(
@@ -221,7 +223,7 @@ def _check_same(store: Store) -> list[str]:
 
 
 def _versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {name: version(name) for name in DECIDING}
+    return {"python": platform.python_version()} | {name: version(name) for name in VERSIONED_PACKAGES}
 
 
 def processor() -> str:
@@ -272,21 +274,21 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
     )
 
 
-def _waiting(
+def _pending_shards(
     store: Store, campaign: Campaign, cells: Sequence[Cell], wanted: list[Shard], progress: Progress
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be computed among the wanted ones, and notes; damaged shards are renamed and computed again."""
     waiting, notes, digests = [], [], store.digests()
     for cell, shard in wanted:
         task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
-        state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), digests)
+        state = store.shard_status(cell, shard, task.key, rows_of(campaign, shard), digests)
         if state == "whole":
             if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
                 store.note(cell, shard)
             progress(rows_of(campaign, shard))
             continue
         if state == "damaged":
-            aside = store.set_aside(cell, shard)
+            aside = store.quarantine(cell, shard)
             notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
         waiting.append(task)
     return waiting, notes

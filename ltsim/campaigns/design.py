@@ -15,16 +15,16 @@ from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
 from ltsim.simulation.keys import Kind, kind_of, value_at
 
-TAKEN = frozenset(
+RESERVED_COLUMNS = frozenset(
     {
         "cell", "label", "method", "trial", "trials", "status", "chi2",
         "column", "unit", "mean", "deviation", "low", "high", "least", "largest",
     }
 )  # fmt: skip
 """Names of the columns that every campaign has."""
-DIGITS = 4
+SIGNIFICANT_DIGITS = 4
 """Number of significant digits of a value in a design: points remain distinct and readable."""
-MOST_RANGES = 64
+MAX_RANGES = 64
 
 
 class Range(TomlSection):
@@ -47,7 +47,7 @@ class Range(TomlSection):
         """Values at fractions (n,) of the range; integers are equally likely."""
         low, high = (self.low, self.high + 1.0) if whole else (self.low, self.high)
         values = low * (high / low) ** share if self.scale == "log" else low + share * (high - low)
-        return [int(min(v, self.high)) if whole else float(f"{v:.{DIGITS}g}") for v in values]
+        return [int(min(v, self.high)) if whole else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
 
 
 class Design(TomlSection):
@@ -57,7 +57,7 @@ class Design(TomlSection):
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
     """Number of points; for a Sobol sequence a power of two."""
-    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MOST_RANGES)]
+    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MAX_RANGES)]
     """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
@@ -115,7 +115,9 @@ def short_names(keys: Sequence[str]) -> dict[str, str]:
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
         often = Counter(names.values())
-        again = [k for k in keys if (often[names[k]] > 1 or names[k] in TAKEN) and depth[k] < len(k.split("."))]
+        again = [
+            k for k in keys if (often[names[k]] > 1 or names[k] in RESERVED_COLUMNS) and depth[k] < len(k.split("."))
+        ]
         if not again:
             return names
         for key in again:

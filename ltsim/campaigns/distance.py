@@ -27,23 +27,23 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, Distances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
-from ltsim.campaigns.engine import Calibrated, Engine, members
+from ltsim.campaigns.engine import BatchCalibrator, Calibrated, members
 from ltsim.campaigns.kernels import points_of, pull_points
 from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.truth import Block
+from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.solve.absolute import least_absolute
 
 CAP, CAP_OF_WEAK = 10, 30
 """Largest number of steps; the second value applies to weakly determined combinations by least squares."""
-CLOSED = 3e-5
+CONVERGED_CHANGE = 3e-5
 """Largest change of an unknown, in prior sigmas, of a converged trial; the remaining error is a hundredth of it."""
 
 
 @dataclass(frozen=True)
-class BatchDistance(Engine):
+class BatchDistance(BatchCalibrator):
     """Batch calibration by distances (`distance`, `equation-9`).
 
     By least squares, or by least absolute deviations with `-l1`.
@@ -112,15 +112,15 @@ class BatchDistance(Engine):
         visible, share = members(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
-    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
+    def together(self, block: TrialBatch, wanted: Ints) -> tuple[Calibrated, Bools]:
         """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
         values, moved = self._squares(block) if self.method == "distance" else self._per_trial(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
-        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CLOSED) & fit.converged
+        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CONVERGED_CHANGE) & fit.converged
 
-    def _squares(self, block: Block) -> tuple[Floats, Floats]:
+    def _squares(self, block: TrialBatch) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and largest change (B,) in the last step in prior sigmas."""
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._membership
@@ -139,11 +139,11 @@ class BatchDistance(Engine):
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             values += step.reshape(values.shape) * prior
             moved = np.abs(step).max(axis=0)
-            if not np.any(moved >= CLOSED):
+            if not np.any(moved >= CONVERGED_CHANGE):
                 break
         return values, moved
 
-    def _per_trial(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+    def _per_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
         """Parameters and largest change, as `_squares`, of the wanted trials, each by its own matrix.
 
         Inf for other trials.
@@ -156,7 +156,7 @@ class BatchDistance(Engine):
             for trial, trial_readings in readings.items()
         }
         for iteration in range(CAP if self.absolute else CAP_OF_WEAK):
-            active = wanted[moved[wanted] >= CLOSED]
+            active = wanted[moved[wanted] >= CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
@@ -178,7 +178,7 @@ class BatchDistance(Engine):
         nearest = np.argsort(np.linalg.norm(self._determined.T @ axes, axis=0))[len(axes) - self._determined.shape[1] :]
         return axes[:, nearest]
 
-    def _residual(self, block: Block, values: Floats, trials: Ints) -> Floats:
+    def _residual(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
         """Terms (R, B) of eq. 9 for some trials at their parameters (I, p, B)."""
         deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
         points = np.empty(deviation.shape)
@@ -189,7 +189,7 @@ class BatchDistance(Engine):
         by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
         return rows.residual[:, None] + rows.compare @ change + by_gauge @ certified
 
-    def _adjusted(self, block: Block, values: Floats) -> BatchFit:
+    def _adjusted(self, block: TrialBatch, values: Floats) -> BatchFit:
         deviation = block.deviation
         points = np.empty(deviation.shape)
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)

@@ -18,7 +18,7 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.schema import CONVERGED, FAILED, FULL, STATUSES
-from ltsim.campaigns.truth import Block, CellTruth
+from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion
@@ -27,9 +27,9 @@ from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, ideal
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.simulator import certified_by
+from ltsim.simulation.simulator import with_certificates
 
-SUSPECT = 0.6e-3
+SUSPECT_M = 0.6e-3
 SUSPECT_FACTOR = 10.0
 """Ratio to the usual deviation, and deviation [m], above which a pointing may be a gross error that only the full
 solver rejects.
@@ -102,20 +102,20 @@ class Calibrator:
     method: str = "network"
     """Name of the method, as of `spec.Method`."""
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
         """Calibrated block; trials that are not wanted may be NaN."""
         raise NotImplementedError
 
-    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
+    def difference(self, block: TrialBatch, trial: int, calibrated: Calibrated) -> float:
         """Largest difference [sigma] of a trial from the public calibrator; NaN for that calibrator itself."""
         return float("nan")
 
 
-def recording_of(truth: CellTruth, block: Block, trial: int) -> Recording:
+def recording_of(truth: CellTruth, block: TrialBatch, trial: int) -> Recording:
     """Recording of a trial for any calibrator: readings and declared lengths, without truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
     lengths = ReferenceLengths.of(recording)
-    return certified_by(recording, (lengths.length + block.gauge_error[:, trial]) / lengths.factor)
+    return with_certificates(recording, (lengths.length + block.gauge_error[:, trial]) / lengths.factor)
 
 
 def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
@@ -147,7 +147,7 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
     """
     across = np.hypot(local[:, 0], local[:, 1])
     miss = deviation * np.stack([np.ones_like(across), across, np.sqrt(np.sum(local**2, axis=1))], axis=1)
-    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > SUSPECT
+    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > SUSPECT_M
     for trial in np.flatnonzero(far):
         size = np.linalg.norm(miss[:, :, trial], axis=1)
         far[trial] = size.max() > SUSPECT_FACTOR * np.median(size)
@@ -155,13 +155,13 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
 
 
 @dataclass(frozen=True)
-class Single(Calibrator):
+class SerialCalibrator(Calibrator):
     """Serial calibrator: each recording is calibrated separately by `lt.calibrate`."""
 
     applied: bool = False
     """True if the applied corrections replace the estimates; sigmas remain those of the estimates."""
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
         """Calibrated block; only the wanted trials are computed."""
         calibrated = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
         for trial in wanted.tolist():
@@ -198,16 +198,16 @@ class Single(Calibrator):
 
 
 @dataclass(frozen=True)
-class Engine(Calibrator):
+class BatchCalibrator(Calibrator):
     """Batch calibrator of trials with a common geometry; trials that do not converge use the public calibrator.
 
     Trials that need gross-error screening also use the public calibrator.
     """
 
     @cached_property
-    def single(self) -> Single:
+    def single(self) -> SerialCalibrator:
         """Public calibrator, for single trials."""
-        return Single(self.truth, self.construction, self.effects, self.method)
+        return SerialCalibrator(self.truth, self.construction, self.effects, self.method)
 
     @cached_property
     def network(self) -> BatchNetwork:
@@ -216,7 +216,7 @@ class Engine(Calibrator):
         program, recorded = truth.program_of(built), truth.recorded
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, recorded=recorded)
 
-    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
+    def together(self, block: TrialBatch, wanted: Ints) -> tuple[Calibrated, Bools]:
         """Calibrated block by the batch, and flags (B,) of the converged trials."""
         network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
@@ -225,7 +225,7 @@ class Engine(Calibrator):
         further = fit.extra, extra, fit.reflectors
         return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, *further), fit.converged
 
-    def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
+    def calibrate(self, block: TrialBatch, wanted: Ints | None = None) -> Calibrated:
         """Calibrated block; `wanted` (default all) are the trials that may use the single calibrator."""
         wanted = np.arange(len(block.trials)) if wanted is None else wanted
         calibrated, good = self.together(block, wanted)
@@ -237,7 +237,7 @@ class Engine(Calibrator):
             calibrated.status[trial] = STATUSES.index(FAILED if per_trial.status[trial] else FULL)
         return calibrated
 
-    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
+    def difference(self, block: TrialBatch, trial: int, calibrated: Calibrated) -> float:
         """Largest difference [sigma] of parameters and targets of a trial from the single calibrator.
 
         Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed

@@ -21,18 +21,18 @@ from ltsim.campaigns.cloud_kernels import (
 from ltsim.campaigns.columns import Columns
 from ltsim.campaigns.engine import Calibrated, members
 from ltsim.campaigns.kernels import points_of
-from ltsim.campaigns.truth import Block, CellTruth
+from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
-from ltsim.geometry.rigid import holds_pose
+from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, ideal
 
-FLAT = 1e-3
+COLLINEAR_RATIO = 1e-3
 """Largest ratio of the distance from a line to the spread along it at which targets do not determine a rotation."""
 
 
 @dataclass(frozen=True)
-class Judge:
+class TrialEvaluator:
     """Evaluation of calibrations on the blocks of a truth.
 
     Quantities that do not depend on the method are computed once per block.
@@ -64,7 +64,7 @@ class Judge:
 
     def _fixed(self, use: Bools) -> Bools:
         """Flags (k,) of the sets of targets (k, T) that determine a frame."""
-        return holds_pose(self._truth(1)[:, :, 0], use, flat=FLAT)
+        return determines_pose(self._truth(1)[:, :, 0], use, flat=COLLINEAR_RATIO)
 
     def clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
@@ -136,7 +136,7 @@ class Judge:
                 error[trials] = MICRO * np.sqrt(total / count)
         return error
 
-    def before(self, block: Block) -> Columns:
+    def before(self, block: TrialBatch) -> Columns:
         """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
         raw = self.clouds(block.deviation)
         perfect = self.clouds(block.deviation, self.truth.construction, block.values)
@@ -146,7 +146,7 @@ class Judge:
         return columns
 
     def after(
-        self, block: Block, estimates: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
+        self, block: TrialBatch, estimates: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
     ) -> Columns:
         """Columns of a method: criteria and errors after correction by its parameters and effects.
 

@@ -20,7 +20,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
-SAME = 1e-6
+READING_TOLERANCE = 1e-6
 """Difference [m, rad] below which readings count as equal; noise of two recordings differs by more."""
 JUDGED = Table(
     "new_points.csv",
@@ -61,7 +61,7 @@ class Judged(Result):
 
 def _same_readings(readings: Floats, others: Floats) -> bool:
     """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
-    return readings.shape != others.shape or not np.any(np.abs(readings - others) > SAME)
+    return readings.shape != others.shape or not np.any(np.abs(readings - others) > READING_TOLERANCE)
 
 
 def judge(

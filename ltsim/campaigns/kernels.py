@@ -13,7 +13,7 @@ from ltsim.campaigns.compiled import at, compiled, inlined
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Floats, Ints
 
-REACHED = 1e-9
+STEP_TOLERANCE = 1e-9
 """Step [m, rad] of Newton's method below which it ends; the remaining error is smaller by a factor of 1e-4."""
 STEPS = 8
 
@@ -73,7 +73,7 @@ def _amounts(i: int, chain: ChainProgram, deviation: Floats, values: Floats, out
 
 
 @compiled
-def _walk(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
+def _forward_chain(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
     """Point carried from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
     turns, axis, _, _, amount, _, _, _, _, _ = chain
     trials = moved.shape[1]
@@ -103,7 +103,7 @@ def _walk(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
 
 
 @compiled
-def _pull_back(
+def _backpropagate(
     i: int,
     chain: ChainProgram,
     deviation: Floats,
@@ -164,7 +164,7 @@ def points_of(
     for i in range(len(deviation)):
         parameters = values[instrument[i]]
         _amounts(i, chain, deviation[i], parameters, moved)
-        _walk(i, chain, moved, path)
+        _forward_chain(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
                 out[i, c, t] = path[0, c, t]
@@ -190,7 +190,7 @@ def readings_of(
         parameters = values[instrument[i]]
         for _ in range(STEPS):
             _amounts(i, chain, deviation[i], parameters, moved)
-            _walk(i, chain, moved, path)
+            _forward_chain(i, chain, moved, path)
             x, y, z = path[0, 0], path[0, 1], path[0, 2]
             largest = 0.0
             for c in range(3):
@@ -203,7 +203,7 @@ def readings_of(
                     )
                     row[t] += step
                     largest = max(largest, abs(step))
-            if not largest > REACHED:
+            if not largest > STEP_TOLERANCE:
                 break
 
 
@@ -229,11 +229,11 @@ def pull_points(
     for i in range(len(deviation)):
         tracker = instrument[i]
         _amounts(i, chain, deviation[i], values[tracker], moved)
-        _walk(i, chain, moved, path)
+        _forward_chain(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
                 force[c, t] = share[i] * forces[owner[i], target[i], c, t]
-        _pull_back(i, chain, deviation[i], moved, path, force, pull, by_values[tracker])
+        _backpropagate(i, chain, deviation[i], moved, path, force, pull, by_values[tracker])
 
 
 @compiled
@@ -274,15 +274,15 @@ def network_gradient(
     for i in range(len(deviation)):
         parameters, s = values[instrument[i]], station[i]
         _amounts(i, chain, predicted[i], parameters, moved)
-        _walk(i, chain, moved, path)
-        _miss(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
-        _compare(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
-        _pull(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
-        _pull_back(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
+        _forward_chain(i, chain, moved, path)
+        _gap_to_point(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
+        _reading_force(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
+        _add_forces(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
+        _backpropagate(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
 
 
 @compiled
-def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
+def _gap_to_point(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
     """Vector from station to target in the network frame, and its difference from the reached point.
 
     They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
@@ -305,7 +305,7 @@ def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: F
 
 
 @compiled
-def _compare(
+def _reading_force(
     by_point: Floats,
     weight: Floats,
     work: Floats,
@@ -343,7 +343,9 @@ def _compare(
 
 
 @compiled
-def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats) -> None:
+def _add_forces(
+    rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats
+) -> None:
     """Addition of the force to the gradients of target and station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]

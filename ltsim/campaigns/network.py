@@ -34,7 +34,7 @@ from ltsim.solve.chain import inverse_of
 from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
 
 CAP = 8
-RATE = 1e-3
+MIN_CONVERGENCE_RATE = 1e-3
 """Smallest assumed ratio of the distances to the optimum after and before a step; larger if previous steps show it."""
 TOLERANCE = 5e-5
 """Largest distance to the optimum of a converged trial, in standard deviations (all unknowns together)."""
@@ -64,7 +64,7 @@ class BatchFit:
 
 
 @dataclass(frozen=True)
-class NetworkKnowns:
+class SharedQuantities:
     """Derivatives and model of a reference network, reused for another network of the same set-up."""
 
     network: BatchNetwork
@@ -88,7 +88,7 @@ class BatchNetwork:
     """Kinematic chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated, together with the nuisance errors that the recording declares."""
-    shared: NetworkKnowns | None = None
+    shared: SharedQuantities | None = None
     """Quantities common to networks of the same set-up, computed if None; not used with additional effects."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are adjusted."""
@@ -142,7 +142,7 @@ class BatchNetwork:
         return order
 
     @cached_property
-    def _others(self) -> tuple[Floats, Floats]:
+    def _other_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the rows other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._system
         count = int(self.problem.use.sum())
@@ -157,7 +157,7 @@ class BatchNetwork:
         system = self.problem.system(self.nominal, replace(prediction, by_extra=self._extra_design))
         return as_dense(system.design), system.residual
 
-    def _prediction(self, shared: NetworkKnowns) -> Prediction:
+    def _prediction(self, shared: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
 
         They equal those of `MeasurementModel.linearised`.
@@ -277,7 +277,7 @@ class BatchNetwork:
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
-            remainder = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
+            remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / before))
             if not np.any(remainder >= TOLERANCE):
                 break
             before = squared
@@ -290,7 +290,7 @@ class BatchNetwork:
         return self.sizes[3] > self.sizes[2]
 
     @cached_property
-    def _felt(self) -> tuple[Ints, Floats, Floats]:
+    def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
         """Readings (r,) among all (3 n,) that effects and declared errors change.
 
         Their design (r, q), plain and whitened.
@@ -313,7 +313,7 @@ class BatchNetwork:
         # A reading that is not measured has no row; its prediction starts at the nominal reading.
         predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.sizes[2]]
         by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
-        return by_reading, self.covariance @ self._others[0].T, predicting
+        return by_reading, self.covariance @ self._other_design[0].T, predicting
 
     def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
         """First step from the nominal state as a matrix product, and the readings that it predicts, (n, 3, B)."""
@@ -335,7 +335,7 @@ class BatchNetwork:
         gradient[:], cost[:] = 0.0, 0.0
         pose, points, values, extra = self.split(x)
         if self._has_extra:
-            rows, design, whitened = self._felt
+            rows, design, whitened = self._affected_readings
             deviation = deviation.copy()
             deviation.reshape(-1, len(cost))[rows] -= each_times(design, extra)
         by_pose, by_points, by_values, by_extra = self.split(gradient)
@@ -345,7 +345,7 @@ class BatchNetwork:
         if self._has_extra:
             by_extra += each_times(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
         others = self._other_rows(x, gauge_error)
-        gradient += each_times(np.swapaxes(self._others[0], -2, -1), others)
+        gradient += each_times(np.swapaxes(self._other_design[0], -2, -1), others)
         cost += np.sum(others**2, axis=0)
 
     def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
@@ -353,7 +353,7 @@ class BatchNetwork:
 
         They are linear, except the lengths, which are exact.
         """
-        design, nominal = self._others
+        design, nominal = self._other_design
         rows = nominal - each_times(design, x)
         gauge = self.problem.gauge
         if len(gauge):

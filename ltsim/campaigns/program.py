@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.kinematics.chain import Motion, Turn
 from ltsim.physics.model.construction import Construction
 
-PROBE = 1e-4
+DIFFERENCE_STEP = 1e-4
 """Step of the central difference for the derivative of a basis, with a relative error of 1e-9."""
 
 
@@ -94,7 +94,7 @@ def _nominal(motion: Motion, raw: Floats) -> Floats:
 
 def _slopes(construction: Construction, raw: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis with respect to the readings."""
-    step = PROBE * np.eye(3)[:, None, :]
+    step = DIFFERENCE_STEP * np.eye(3)[:, None, :]
     moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
     ahead, behind = construction.bases(moved).T.reshape(construction.size, 2, 3, len(raw)).swapaxes(0, 1)
-    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * PROBE), 1, 2))
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DIFFERENCE_STEP), 1, 2))

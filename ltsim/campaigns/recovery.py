@@ -31,8 +31,8 @@ from ltsim.campaigns.recovery_trials import (
     PARAMETERS,
     TRIALS,
     FailedTrial,
-    How,
     RecoveredParameter,
+    RecoverySettings,
     RecoveryTolerance,
     RecoveryTrials,
     run_trials,
@@ -51,7 +51,7 @@ from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
-MOST_FAILURES = 3
+MAX_FAILURES = 3
 """Number of trials without a result of an external calibrator after which the run ends: a command that does not work
 fails at once, and the check of convergence fails with the first.
 """
@@ -231,7 +231,7 @@ def recover(
     example = simulate(scenario, seed=seed).recording if named else None
     extra_effects = tuple(requested_effect(text, example) for text in named if example is not None)
     built = true_construction if construction is None else construction_called(construction)
-    how = How(method, built, extra_effects, calibrator, mode)
+    how = RecoverySettings(method, built, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
     with closing(run_trials(scenario, trials, how, seed=seed, jobs=jobs)) as outcomes:
@@ -243,7 +243,7 @@ def recover(
                 _check_same_parameters(outcome, done)
             done.append(None if isinstance(outcome, FailedTrial) else outcome)
             progress(1)
-            if failed == MOST_FAILURES:
+            if failed == MAX_FAILURES:
                 problem = f"the run ended after {failed} failures of the calibrator: {problem}"
                 break
     made = RecoveryTrials(tuple(done), mode, within, time.monotonic() - began, problem)

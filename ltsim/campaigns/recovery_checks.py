@@ -20,7 +20,7 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 FALSE_ALARM = 0.01
 """Probability that a correct model fails any of the checks."""
 COVERED = 0.95
-FEWEST = 2
+MIN_TRIALS = 2
 """Smallest number of trials for a standard deviation."""
 MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
@@ -110,8 +110,8 @@ def recovery_checks(
     called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
     if estimate.shape != truth.shape or len(called) != estimate.shape[1]:
         raise ModelError(f"estimates are {estimate.shape}, truths {truth.shape}, names {len(called)}: give one of each")
-    if len(estimate) < FEWEST:
-        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {FEWEST} or more")
+    if len(estimate) < MIN_TRIALS:
+        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
     if sigma is None and not tolerance:
         raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give either")
     if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:

@@ -14,7 +14,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
-    FEWEST,
+    MIN_TRIALS,
     RecoveryCheck,
     chi_square_check,
     fixed_truth_checks,
@@ -94,7 +94,7 @@ class FailedTrial(NamedTuple):
 
 
 @dataclass(frozen=True)
-class How:
+class RecoverySettings:
     """Calibration settings of a recovery check: ltsim's method, and optionally a calibrator of the user."""
 
     method: str = "network"
@@ -106,7 +106,7 @@ class How:
 
 
 def run_trials(
-    scenario: Scenario, trials: int, how: How, *, seed: int = 0, jobs: int = 1
+    scenario: Scenario, trials: int, how: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[Trial | FailedTrial, None, None]:
     """Trials in order, one by one; they are identical for any number of processes.
 
@@ -126,7 +126,7 @@ def from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | FailedTrial:
+def run_trial(scenario: Scenario, seed: int, index: int, how: RecoverySettings) -> Trial | FailedTrial:
     """Result of a trial: simulation, calibration and comparison with the truth."""
     work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
     recording, truth = measure(work, seed, index)
@@ -149,7 +149,7 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | Fa
     return score_estimates(estimates, truth, how.errors, reference)
 
 
-def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:
+def calibrated(recording: Recording, how: RecoverySettings, construction: Construction) -> Calibration:
     """Calibration by one of ltsim's methods."""
     if how.method == "network":
         return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
@@ -208,7 +208,7 @@ class RecoveryTrials(ValueEquality):
     def parameters(self) -> tuple[RecoveredParameter, ...]:
         """Statistics of each parameter's errors, with those of ltsim's calibrator if an external one is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.converged) >= FEWEST:
+        if len(self.converged) >= MIN_TRIALS:
             error, z = self._stacked("estimate") - self._stacked("truth"), self.z
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
@@ -229,7 +229,7 @@ class RecoveryTrials(ValueEquality):
         `error` (N, p) are the errors of the checked calibrator.
         """
         both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
-        if len(both) < FEWEST:
+        if len(both) < MIN_TRIALS:
             return {}
         reference = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
         gap, count = np.abs(error[both]) - np.abs(reference), len(both)
@@ -245,7 +245,7 @@ class RecoveryTrials(ValueEquality):
         """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
         lost = len(self.trials) - len(self.converged)
         checks = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
-        if len(self.converged) < FEWEST:
+        if len(self.converged) < MIN_TRIALS:
             return checks
         chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
         level = FALSE_ALARM / (4 * len(chosen) + 3)

@@ -21,25 +21,25 @@ from ltsim.campaigns.calibrators import (
 from ltsim.campaigns.columns import Columns, labels_of, parameter_columns, rows_of_method, with_settings, z_scores
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import Calibrated, Calibrator
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.schema import CHECKED, FAILED, STATUSES, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.store import encoded, statistics_of
-from ltsim.campaigns.truth import Block, CellTruth, truth_of
+from ltsim.campaigns.truth import CellTruth, TrialBatch, truth_of
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import BLOCK
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect
-from ltsim.simulation.draws import Normal
+from ltsim.simulation.draws import NormalSource
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import place_key
 from ltsim.simulation.workshop import Layout, planned
 
-JUDGED = {"criteria", "errors"}
+CORRECTED_STATISTICS = {"criteria", "errors"}
 """Statistics that need corrected readings."""
-TOGETHER = 64
+TRIALS_PER_STACK = 64
 """Number of trials per batch if each has a separate geometry with the same sightings."""
 
 
@@ -68,7 +68,7 @@ class ShardTask:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class CellContext:
     """Cell with everything that its trials share."""
 
     campaign: Campaign
@@ -76,18 +76,18 @@ class Prepared:
     judge: Scenario | None = None
 
     @cached_property
-    def shared(self) -> tuple[Judge, list[Calibrator]]:
+    def shared(self) -> tuple[TrialEvaluator, list[Calibrator]]:
         """Common geometry of all trials, with the calibrators in the order of the file's methods."""
         truth = truth_of(self.scenario, self.campaign.seed)
-        return Judge(truth), [calibrator_of(method, truth) for method in self.campaign.methods]
+        return TrialEvaluator(truth), [calibrator_of(method, truth) for method in self.campaign.methods]
 
     @cached_property
-    def elsewhere(self) -> Judge | None:
+    def elsewhere(self) -> TrialEvaluator | None:
         """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
 
         It is None without one.
         """
-        return None if self.judge is None else Judge(truth_of(self.judge, self.campaign.seed, JUDGE))
+        return None if self.judge is None else TrialEvaluator(truth_of(self.judge, self.campaign.seed, JUDGE))
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
@@ -113,7 +113,7 @@ class Prepared:
     def _plan(self) -> Layout:
         return planned(self.scenario)
 
-    def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
+    def blocks(self, first: int, last: int) -> Iterator[tuple[TrialEvaluator, Sequence[Calibrator], TrialBatch]]:
         """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
 
         Trials with an impossible geometry, such as a station without visible targets, are in no block.
@@ -124,9 +124,13 @@ class Prepared:
             for number in range(first // BLOCK, -(-last // BLOCK)):
                 yield judge, calibrators, judge.truth.draw(seed, number)
             return
-        for low in range(first, last, TOGETHER):
-            for stack, numbers in stacks(self._geometries(range(low, min(low + TOGETHER, last)))):
-                yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
+        for low in range(first, last, TRIALS_PER_STACK):
+            for stack, numbers in stacks(self._geometries(range(low, min(low + TRIALS_PER_STACK, last)))):
+                yield (
+                    TrialEvaluator(stack),
+                    [StackCalibrator.of(m, stack) for m in methods],
+                    stack.draw_trials(seed, numbers),
+                )
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """True geometry of each trial that has a possible one; they share the set-up with the common one."""
@@ -139,10 +143,10 @@ class Prepared:
 
 
 @lru_cache(maxsize=4)
-def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
+def cell_context(campaign: str, scenario: str, judge: str) -> CellContext:
     """Cell of a task, from JSON texts; it is cached, because a worker computes many shards of the same cell."""
     there = Scenario.model_validate_json(judge) if judge else None
-    return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
+    return CellContext(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
 def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
@@ -176,7 +180,7 @@ def shard_rows(task: ShardTask) -> pa.Table:
 def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
     """New rows of a shard after the existing trials; with `drawn` only the true values, without a calibration."""
     campaign, given = task.campaign, (task.campaign, task.scenario, task.judge)
-    cell = prepared(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
+    cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     start = task.shard * campaign.shard
     first, last = start + done, min(start + campaign.shard, campaign.trials)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
@@ -207,9 +211,9 @@ class TrialBlock:
     """Block that every method calibrates."""
 
     campaign: Campaign
-    judge: Judge
-    block: Block
-    elsewhere: Judge | None
+    judge: TrialEvaluator
+    block: TrialBatch
+    elsewhere: TrialEvaluator | None
     wanted: Ints
     checked: Ints
     """Indices in the block of the trials whose rows are wanted, and of those that the full solver repeats."""
@@ -222,14 +226,14 @@ class TrialBlock:
         return self.judge.before(self.block)
 
     @cached_property
-    def new_points(self) -> tuple[Judge, Block, Columns] | None:
+    def new_points(self) -> tuple[TrialEvaluator, TrialBatch, Columns] | None:
         """Held-out points measured by the same instruments, with independent noise and equal sizes of effects.
 
         It is None without `judge_in`.
         """
         if self.elsewhere is None:
             return None
-        there = Normal(self.campaign.seed, self.block.trials)
+        there = NormalSource(self.campaign.seed, self.block.trials)
         block = self.elsewhere.truth.drawn(there, self._drifted(), stream_key=JUDGE)
         return self.elsewhere, block, self.elsewhere.before(block)
 
@@ -240,7 +244,7 @@ class TrialBlock:
             return values
         population = self.judge.truth.population
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
-        step = Normal(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
+        step = NormalSource(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
         return values + share * (population.sigma * moves)[:, :, None] * step.reshape(values.shape)
 
     def columns(self, calibrator: Calibrator) -> Columns:
@@ -255,7 +259,7 @@ class TrialBlock:
         columns[CHECKED] = np.full(len(calibrated.chi2), np.nan)
         for place in self.checked:
             columns[CHECKED][place] = calibrator.difference(block, int(place), calibrated)
-        if JUDGED & {*wanted}:
+        if CORRECTED_STATISTICS & {*wanted}:
             judged = self.shared | self.judge.after(block, calibrated, construction, effects)
             judged |= self._elsewhere(calibrated, calibrator)
             columns |= {

@@ -40,9 +40,9 @@ from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
 
-NOISELESS = 1e-4
+MIN_NOISE_SHARE = 1e-4
 """Fraction of a declared variance below which the error comes from the prior and not from noise."""
-MOST_OF_A_LINE = 300
+MAX_LINE_LENGTH = 300
 """Largest number of characters of an external program's last line in a message."""
 RECORDING, OUT = "{recording}", "{out}"
 
@@ -102,7 +102,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
             detail = (
-                f"its last line was: {shown(last, MOST_OF_A_LINE)}" if last else "it wrote nothing to standard error"
+                f"its last line was: {shown(last, MAX_LINE_LENGTH)}" if last else "it wrote nothing to standard error"
             )
             raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {detail}")
         try:
@@ -260,7 +260,7 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
     error, sigma_scaled = (calibration.values.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.missed[:count]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
-    noisy = variance > NOISELESS * sigma_scaled**2
+    noisy = variance > MIN_NOISE_SHARE * sigma_scaled**2
     standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
     network = NetworkScore(
         *_network_scores(calibration, truth, expected),

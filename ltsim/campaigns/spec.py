@@ -18,11 +18,11 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.settings import checked, read_toml
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of
-from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario
+from ltsim.simulation.scenario import REMOVED, Scenario, changed, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 
 FORMAT = "ltsim-campaign/1"
-MOST_CELLS, MOST_SHARDS = 4096, 500_000
+MAX_CELLS, MAX_SHARDS = 4096, 500_000
 JUDGE = "judge"
 """Key of the random draws at the place of `judge_in`."""
 
@@ -163,11 +163,11 @@ class Campaign(TomlSection):
     def _limit_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
-        if cells > MOST_CELLS:
-            raise ValueError(f"it should have at most {MOST_CELLS} cells, the grid makes {cells}: divide the campaign")
-        if cells * self.shards > MOST_SHARDS:
+        if cells > MAX_CELLS:
+            raise ValueError(f"it should have at most {MAX_CELLS} cells, the grid makes {cells}: divide the campaign")
+        if cells * self.shards > MAX_SHARDS:
             raise ValueError(
-                f"it should have at most {MOST_SHARDS} shards, trials and shard make {cells * self.shards}: "
+                f"it should have at most {MAX_SHARDS} shards, trials and shard make {cells * self.shards}: "
                 "give a larger shard"
             )
         return self
@@ -288,7 +288,7 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
-        changes = {"gauge": NONE, "lengths": [], "work.targets": NONE, "targets": places, "effects": effects}
+        changes = {"gauge": REMOVED, "lengths": [], "work.targets": REMOVED, "targets": places, "effects": effects}
         return changed(scenario, changes, path, f"{path}: judge_in")
     room = load_scenario(file or name)
     same = {"instrument": scenario.instrument, "instruments": scenario.instruments}

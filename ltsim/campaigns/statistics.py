@@ -42,7 +42,7 @@ CONNECTION: dict[str, Any] = {
     "autoload_known_extensions": False,
 }
 """Settings of the database: no extension is downloaded or loaded, for any query or file."""
-MOST_EXACT = 50_000_000
+MAX_EXACT = 50_000_000
 """Largest number of rows with exact quantiles, which need all values of a column in memory; above it a t-digest is
 used.
 """
@@ -249,7 +249,7 @@ class Statistics:
         if column in SHARES:
             return self._shares(column)
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
+        kind = "quantile_cont" if size <= MAX_EXACT else "approx_quantile"
         what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
         summaries = []
         for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"isfinite({name})"):

@@ -5,8 +5,8 @@ Trials are those of the full run, from the first on.
 
 Repeated looks favour intervals that are narrow by chance. The error rate of 5 % is therefore divided by the number of
 possible looks of a cell (Bonferroni, with quantiles of t): all intervals together contain the mean with 95 %, and so
-does the one at which a cell stops. The first look has at least `LEAST` trials, so that the variance is known and the
-mean of skewed values is nearly normal.
+does the one at which a cell stops. The first look has at least `MIN_TRIALS` trials, so that the variance is known and
+the mean of skewed values is nearly normal.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 GROWTH = 1.5
 """Ratio of the number of trials after a round to that before it."""
-LEAST = 64
+MIN_TRIALS = 64
 """Smallest number of trials before the first look."""
-LEVEL = 0.05
+ERROR_RATE = 0.05
 """Two-sided error rate of all intervals of a cell together; without adaptive stopping, of each interval."""
 Shard = tuple[int, int]
 """Shard as a pair of cell number and shard number."""
@@ -36,14 +36,14 @@ def quantile(count: int, level: float) -> float:
 
 
 def level_of(trials: int, shard: int, *, stops: bool) -> float:
-    """Error rate of each interval of a cell, such that the interval at which it stops has the error rate `LEVEL`."""
-    return LEVEL / len(schedule(trials, shard)) if stops else LEVEL
+    """Error rate of each interval of a cell, such that the interval at which it stops has the rate `ERROR_RATE`."""
+    return ERROR_RATE / len(schedule(trials, shard)) if stops else ERROR_RATE
 
 
 def schedule(trials: int, shard: int) -> list[int]:
     """Numbers of shards after which a cell is evaluated."""
     whole = -(-trials // shard)
-    done = [min(-(-LEAST // shard), whole)]
+    done = [min(-(-MIN_TRIALS // shard), whole)]
     while done[-1] < whole:
         done.append(min(math.ceil(GROWTH * done[-1]), whole))
     return done

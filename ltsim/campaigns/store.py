@@ -160,7 +160,7 @@ class Store:
             if (self.folder / ROWS).exists():
                 shutil.rmtree(self.folder / ROWS)
 
-    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
+    def shard_status(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
         """Status of a shard: `whole`, `missing`, `damaged`, or `short` of rows or columns.
 
         `digests` are the recorded digests.
@@ -179,7 +179,7 @@ class Store:
             return "damaged"
         return "short" if short else "whole"
 
-    def set_aside(self, cell: int, shard: int) -> Path:
+    def quarantine(self, cell: int, shard: int) -> Path:
         """Path of a damaged shard after it was renamed for inspection."""
         path = self.shard_path(cell, shard)
         aside = path.with_suffix(".damaged")

@@ -26,20 +26,20 @@ from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import Draw, EffectLaw, Normal, TrialDraws
+from ltsim.simulation.draws import Draw, EffectDistribution, NormalSource, TrialDraws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
 from ltsim.simulation.physics import nominal_noise, resolution_of
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import error_free, mistakes, population_of, simulate_readings
+from ltsim.simulation.simulator import blunders_in, error_free, population_of, simulate_readings
 from ltsim.simulation.workshop import Layout
 
 TURN = 2 * np.pi
-LINEAR = 1e-3
+MAX_NONLINEARITY = 1e-3
 """Largest deviation of an effect from its linear form, in sigmas of a reading, at which it is treated as linear."""
 
 
 @dataclass(frozen=True)
-class Block:
+class TrialBatch:
     """Block of drawn trials; the last index is the trial."""
 
     trials: Ints
@@ -52,7 +52,7 @@ class Block:
     """Readings minus nominal readings, (n, 3, B) [m, rad, rad]."""
     gauge_error: Floats
     """Declared minus true reference lengths, (g, B) [m]."""
-    alone: tuple[Block, ...] = ()
+    alone: tuple[TrialBatch, ...] = ()
     """Single trials, each in the order of its pointings, if geometries differ."""
 
     @property
@@ -89,7 +89,7 @@ class CellTruth:
         return self.population.construction
 
     @property
-    def effects(self) -> tuple[EffectLaw, ...]:
+    def effects(self) -> tuple[EffectDistribution, ...]:
         """Effects in addition to the instrument's errors."""
         return self.population.effects
 
@@ -147,20 +147,20 @@ class CellTruth:
         """Constant part (n, 3) and design (n, 3, q) of each effect; None for a nonlinear one."""
         return [self._linear(entry) for entry in self.effects]
 
-    def _linear(self, entry: EffectLaw) -> tuple[Floats, Floats] | None:
+    def _linear(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
         constant = entry.effect.shift(self.sightings, entry.mean)
         if not np.any(entry.sigma):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(entry.mean)))
         design = entry.effect.design(self.sightings)
         probe = entry.mean + 3 * entry.sigma
         miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
-        return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.recording.sigma()) else None
+        return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw(self, seed: int, number: int, width: int = BLOCK) -> Block:
+    def draw(self, seed: int, number: int, width: int = BLOCK) -> TrialBatch:
         """Trials from number ``width * number`` on, as a block."""
-        return self.drawn(Normal(seed, width * number + np.arange(width)))
+        return self.drawn(NormalSource(seed, width * number + np.arange(width)))
 
-    def drawn(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Block:
+    def drawn(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> TrialBatch:
         """Block of the trials with these numbers.
 
         `values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDraws`.
@@ -168,12 +168,12 @@ class CellTruth:
         draw = self.population.draw(numbers, values, stream_key=stream_key)
         return self.read(draw, self._exact(draw.values))
 
-    def read(self, draw: Draw, deviation: Floats) -> Block:
+    def read(self, draw: Draw, deviation: Floats) -> TrialBatch:
         """Block of a draw.
 
         `deviation` (n, 3, B) are its exact readings minus nominal ones, overwritten by the result.
         """
-        if mistakes([law.effect for law in self.effects], draw.amounts):
+        if blunders_in([law.effect for law in self.effects], draw.amounts):
             deviation = self._with_mistakes(draw)
         else:
             for place, amounts in enumerate(draw.amounts):
@@ -182,7 +182,7 @@ class CellTruth:
             deviation = self._quantised(deviation)
         lengths = self.population.lengths
         gauge_error = draw.certified * lengths.factor[:, None] - lengths.length[:, None]
-        return Block(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
+        return TrialBatch(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
 
     def _with_mistakes(self, draw: Draw) -> Floats:
         """Readings minus nominal readings (n, 3, B), trial by trial as the simulator computes them."""
@@ -223,7 +223,7 @@ class CellTruth:
             deviation[selected, column] = step * np.round((start + deviation[selected, column]) / step) - start
         return deviation
 
-    def readings(self, block: Block, trial: int) -> Floats:
+    def readings(self, block: TrialBatch, trial: int) -> Floats:
         """Readings (n, 3) of one trial of a block as from an instrument, with azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.deviation[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < TURN, wrap(readings[:, 1]), readings[:, 1])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
     from ltsim.recordings import Recording
 
-LEAST_SHOWN = 0.005
+MIN_SHOWN = 0.005
 """Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Rejected = Annotated[
@@ -105,7 +105,7 @@ def correct(
     distance, azimuth, elevation = largest
     sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
     applied = f"{len(recording)} pointings corrected by {sizes}"
-    terminal.say(applied if np.any(largest >= LEAST_SHOWN) else "no correction was applied: the readings do not change")
+    terminal.say(applied if np.any(largest >= MIN_SHOWN) else "no correction was applied: the readings do not change")
     terminal.say(f"written to {out}")
 
 

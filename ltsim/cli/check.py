@@ -39,7 +39,7 @@ Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that gr
 AcceptFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
 Template = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
-POLL = 1.0
+POLL_INTERVAL = 1.0
 """Interval [s] between two checks of the files of a growing recording."""
 
 
@@ -100,7 +100,7 @@ def changes(source: Path) -> Iterator[None]:
         if now != last:
             last = now
             yield
-        time.sleep(POLL)
+        time.sleep(POLL_INTERVAL)
 
 
 def _state(source: Path) -> tuple[tuple[str, int, int], ...]:

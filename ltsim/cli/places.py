@@ -28,7 +28,7 @@ Force = Annotated[
 ]
 GENERATOR = '<meta name="generator" content="ltsim'
 """Text by which a page written by ltsim is recognised."""
-HEAD = 4096
+SEARCHED_BYTES = 4096
 """Bytes of a file that are searched for the mark of ltsim."""
 LTSIM_FILE = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
 """Pattern at the beginning of a file of ltsim, written by it or for it."""
@@ -143,7 +143,7 @@ def check_file(file: Path, force: bool) -> None:
         return
     if file.is_file() and file.suffix == ".html":
         with file.open("rb") as stream:
-            if GENERATOR.encode() in stream.read(HEAD):
+            if GENERATOR.encode() in stream.read(SEARCHED_BYTES):
                 return
     raise RecordError("exists already; choose another name, or replace it with --force", file=file)
 
@@ -172,7 +172,7 @@ def _answered_for(file: Path) -> set[str]:
 
     try:
         with file.open("rb") as stream:
-            if not LTSIM_FILE.search(stream.read(HEAD).decode("latin-1")):
+            if not LTSIM_FILE.search(stream.read(SEARCHED_BYTES).decode("latin-1")):
                 return set()
         companions = read_json(file, "result").get("files") if file.suffix == ".json" else None
     except (OSError, RecordError):

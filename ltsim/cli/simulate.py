@@ -162,7 +162,7 @@ def _curve(
 
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything."), EMPTY]
 
-HIDDEN: tuple[dict[str, Any], ...] = tuple(
+DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
@@ -239,7 +239,7 @@ def diagnosed(out: Path, seed: int) -> str:
     from ltsim.core.randomness import stream
     from ltsim.physics.effects import title_of
 
-    entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
+    entry = DEMO_EFFECTS[int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
     folder = out / "concealed"
     diagnosis = lt.diagnose(recording, seed=seed, held_out=True)

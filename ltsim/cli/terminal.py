@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
 
 File = TypeVar("File", bound="ResultFile")
-SILENCE = 10.0
+PROGRESS_DELAY = 10.0
 """Time [s] after which a pipe receives a line of progress."""
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
@@ -103,14 +103,14 @@ class Terminal:
 
     @contextmanager
     def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:
-        """Lines of progress on standard error, after `SILENCE` seconds and whenever the time has doubled."""
+        """Lines of progress on standard error, after `PROGRESS_DELAY` seconds and whenever the time has doubled."""
         if self.quiet:
             yield
             return
         began, done = time.monotonic(), threading.Event()
 
         def tell() -> None:
-            wait = SILENCE
+            wait = PROGRESS_DELAY
             while not done.wait(wait):
                 wait = time.monotonic() - began
                 self.note(f"{words()} ({wait:.0f} s)")

@@ -9,11 +9,11 @@ from typing import Any
 
 from ltsim.core.errors import SetupError, option
 
-MOST_JOBS = 256
+MAX_JOBS = 256
 """Largest number of worker processes that `jobs` accepts."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
-    "jobs": (1, MOST_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
+    "jobs": (1, MAX_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
 }  # fmt: skip
 """Smallest and largest permitted value by argument name (None: no upper bound); an integer bound requires whole
 numbers.

@@ -38,7 +38,7 @@ LARGEST = 1e40
 """Largest magnitude of a number in a result file; products of eight larger numbers, as in a product of four variances,
 could overflow.
 """
-MOST_SHOWN = 12
+MAX_SHOWN = 12
 """Number of table rows that a notebook shows."""
 Kind = Literal["text", "number", "flag", "chance"]
 Columns = Mapping[str, Sequence[Any]]
@@ -302,9 +302,9 @@ class Table(ValueEquality):
         )
         rows = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-            for row in replace(self, rows=self.rows[:MOST_SHOWN]).cells()
+            for row in replace(self, rows=self.rows[:MAX_SHOWN]).cells()
         )
-        more = len(self.rows) - MOST_SHOWN
+        more = len(self.rows) - MAX_SHOWN
         rest = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
 

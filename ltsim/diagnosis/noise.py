@@ -37,7 +37,7 @@ from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.places import Place, clusters, trackers_of
-from ltsim.physics.laws.regressor_library import further
+from ltsim.physics.laws.regressor_library import additional_columns
 from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import regions_of
@@ -92,7 +92,9 @@ def _patterns(
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
-    for at, acts, name, falling in product(places, SCATTERING[:-1], [*regressors, *further(sightings)], (False, True)):
+    for at, acts, name, falling in product(
+        places, SCATTERING[:-1], [*regressors, *additional_columns(sightings)], (False, True)
+    ):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
         yield " and ".join(acts), pattern, GROWING
     names = sightings.target_names

@@ -20,16 +20,16 @@ from ltsim.physics.laws.places import (
     Place,
     clusters,
     connected_groups,
-    each,
     group_places,
+    named_rows,
     neighbour_groups,
     trackers_of,
 )
 from ltsim.physics.laws.regressor_library import (
+    ACCUMULATED_ROTATIONS,
     DEPTHS,
     OPERATOR_ODDS,
-    WORK,
-    group_drivers,
+    group_regressors,
     is_admissible,
     regressors_of,
     waves,
@@ -53,7 +53,7 @@ ONLY = dict.fromkeys(("product", "passage", "lever", "near"), ("reading",)) | {"
 """Kinds of responses that such regressors are restricted to: with others the space would be large
 and hardly physical.
 """
-SWINGS = (*CLOCKS, *WORK)
+SWINGS = (*CLOCKS, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
@@ -77,8 +77,8 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
     """Kinds of places, the places, and the regressors that are tried there."""
     s = space.sightings
     everywhere = (Place((), (), np.arange(len(s))),)
-    stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
-    targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
+    stations = tuple(Place((name,), (), rows) for name, rows in named_rows(_few(s.station_names), s.station))
+    targets = tuple(Place((), (name,), rows) for name, rows in named_rows(_few(s.target_names), s.target))
     is_grouped = len(s.target_names) in GROUPED
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
@@ -92,7 +92,7 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
         ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
         ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
         ("target", targets, {"constant": general["constant"], "clock": general["clock"]}),
-        ("group", groups, group_drivers(s) if groups else {}),
+        ("group", groups, group_regressors(s) if groups else {}),
     ]
 
 

@@ -9,15 +9,15 @@ from ltsim.core.arrays import Bools, Floats, median
 from ltsim.core.errors import NetworkError
 
 ROBUST_PASSES = 8
-OUTLYING = 8.0
+NOISE_RATIO = 8.0
 """Ratio of the largest to the median distance between aligned points below which reweighting ends: such distances are
 noise.
 """
-SOUND = 1e-4
+SOUND_FIT_M = 1e-4
 """Mean distance [m] after a least-squares alignment up to which no point is an outlier that matters
 for start values.
 """
-ALL_TRIPLES, MOST_TRIPLES = 6, 30
+MAX_POINTS_FOR_ALL_TRIPLES, MAX_TRIPLES = 6, 30
 """Number of points up to which every triple is tried, and number of triples for more points. Of 30 triples at least one
 has no outlier with 98 % probability if half of the points are outliers, and with 99.999 % if a third are.
 """
@@ -99,32 +99,32 @@ def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     best = align(source, goal)
     if len(source) < 4:
         return best
-    miss = _misses(source, goal, best)
-    if miss.mean() > SOUND:
+    miss = _residual_lengths(source, goal, best)
+    if miss.mean() > SOUND_FIT_M:
         triples = _triples(len(source))
         rotation, shift, _, is_held = _fits(source[triples], goal[triples], np.ones(3))
-        sizes = _log_size(_misses(source, goal, (rotation, shift)))
+        sizes = _sum_of_logs(_residual_lengths(source, goal, (rotation, shift)))
         sizes[~is_held] = np.inf
         k = int(np.argmin(sizes))
-        best = (rotation[k], shift[k]) if sizes[k] < _log_size(miss) else best
+        best = (rotation[k], shift[k]) if sizes[k] < _sum_of_logs(miss) else best
     for _ in range(ROBUST_PASSES):
-        miss = _misses(source, goal, best)
+        miss = _residual_lengths(source, goal, best)
         floor = max(1e-5, 0.5 * median(miss))
         best = align(source, goal, 1.0 / np.maximum(miss, floor))
-        if miss.max() < OUTLYING * floor:
+        if miss.max() < NOISE_RATIO * floor:
             break
     return best
 
 
-def largest_miss(source: Floats, goal: Floats) -> float:
+def largest_residual(source: Floats, goal: Floats) -> float:
     """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment.
 
     Raises NetworkError as `best_fit`.
     """
-    return float(_misses(source, goal, align(source, goal)).max())
+    return float(_residual_lengths(source, goal, align(source, goal)).max())
 
 
-def _misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
+def _residual_lengths(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
     """Distances (..., n) [m] of moved points from their goals.
 
     The motions are rotations (..., 3, 3) and shifts (..., 3).
@@ -134,19 +134,19 @@ def _misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floa
     return np.asarray(np.linalg.norm(moved - goal, axis=-1))
 
 
-def _log_size(miss: Floats) -> Floats:
-    """Sum (...) of the logarithms of distances (..., n) [m], each at least `FITTING_DISTANCE`.
+def _sum_of_logs(miss: Floats) -> Floats:
+    """Sum (...) of the logarithms of distances (..., n) [m], each at least `SOUND_FIT_M`.
 
     It prefers a few large distances to many small ones.
     """
-    return np.asarray(np.log(np.maximum(miss, SOUND)).sum(axis=-1))
+    return np.asarray(np.log(np.maximum(miss, SOUND_FIT_M)).sum(axis=-1))
 
 
 @lru_cache(maxsize=256)
 def _triples(count: int) -> list[list[int]]:
     """Triples of point numbers: all of them for a few points, a fixed selection for many."""
-    every = list(combinations(range(count), 3)) if count <= ALL_TRIPLES else []
+    every = list(combinations(range(count), 3)) if count <= MAX_POINTS_FOR_ALL_TRIPLES else []
     if every:
         return [list(triple) for triple in every]
     draw = np.random.default_rng(count)
-    return [draw.choice(count, 3, replace=False).tolist() for _ in range(MOST_TRIPLES)]
+    return [draw.choice(count, 3, replace=False).tolist() for _ in range(MAX_TRIPLES)]

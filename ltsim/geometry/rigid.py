@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rotations import cross_matrix
 
-ON_A_LINE = 1e-6
+COLLINEAR_RATIO = 1e-6
 """Largest distance of points from a line, as a fraction of their extent, up to which they count as collinear."""
 
 
@@ -18,7 +18,7 @@ def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def less_rigid(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
+def without_rigid_motion(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
     """Displacements (3 k, c) of points (k, 3) with the best-fitting rigid motion of each column removed.
 
     If `free` (6, f) is given, only motions in the span of its columns are removed.
@@ -41,7 +41,9 @@ def pose_design(by_target: Floats, arm: Floats) -> Floats:
     return np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
 
 
-def holds_pose(points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = ON_A_LINE) -> Bools:
+def determines_pose(
+    points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = COLLINEAR_RATIO
+) -> Bools:
     """Flags (...): the targets that a station sees determine its pose (six parameters), by their geometry alone.
 
     Three targets that are not collinear are sufficient; a levelled station needs two that are not on one vertical.

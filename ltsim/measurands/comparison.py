@@ -36,7 +36,7 @@ DISPLACEMENTS = Table(
         Column("visible_um", "smallest motion that is found in 4 of 5 cases, whatever its direction", shown=".0f"),
     ),
 )
-MOST_NAMED = 6
+MAX_NAMED = 6
 COVERAGE = 0.95
 """Coverage probability of the error ellipsoids."""
 
@@ -123,7 +123,7 @@ def rows_of(points: Sequence[int] | Ints, axes: int) -> Ints:
 
 
 @dataclass(frozen=True)
-class Gap:
+class EpochDifference:
     """Differences d (T a,) of common points after alignment along `axes` (a,), their covariance, free motions (T a, f).
 
     A term added to the covariance along the free motions does not change results, and makes the covariance of a free
@@ -184,7 +184,9 @@ class Gap:
         return inverse @ (self._root @ self.gap), inverse @ inverse.T
 
 
-def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
+def congruence_test(
+    gap: EpochDifference, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
+) -> Comparison:
     """Result of the congruence test, in which the points that are not `fixed` as stable are tested."""
     tested = np.flatnonzero(~fixed)
     moved = _search(gap, tested, level)
@@ -205,7 +207,7 @@ def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, Sou
     )
 
 
-def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
+def _search(gap: EpochDifference, tested: Ints, level: float) -> list[int]:
     """Indices of points that moved: significant ones are added, then each is tested again with the others."""
     moved: list[int] = []
     limit = special.chdtri(len(gap.axes), level / max(len(tested), 1))
@@ -225,7 +227,7 @@ def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
     return moved
 
 
-def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float) -> Displacement:
+def _displacement(gap: EpochDifference, i: int, moved: list[int], tested: int, level: float) -> Displacement:
     """Displacement of one point in the frame of the stable points, and its test with the others in the model."""
     count, a = max(tested, 1), len(gap.axes)
     others = [p for p in moved if p != i]
@@ -257,5 +259,5 @@ def _sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MOST_NAMED)
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_NAMED)
     return f"{len(worst)} of {len(displacements)} points moved: {names}"

@@ -22,17 +22,17 @@ from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.notation import listing
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.measurands.comparison import Comparison, Gap, judged, rows_of
+from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, rows_of
 from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources
 from ltsim.recordings.coordinates import Coordinates
-from ltsim.recordings.references import COEFFICIENT
+from ltsim.recordings.references import EXPANSION_ERROR
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.setup import Gauge
 
 SPACE = np.arange(3)
-ALIGNING = 30
+ALIGNMENT_ROUNDS = 30
 """Number of iterations of the alignment by distances, in which up to a third of the points may be displaced far."""
-STILL = 1e-9
+MIN_UNIT_MOTION = 1e-9
 """Smallest displacement of points by a unit motion, relative to their extent, at which measured axes determine the
 motion.
 """
@@ -102,10 +102,12 @@ def _compared(
 ) -> Comparison:
     """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
     gap = _aligned(first, second, scaled, stable, axes)
-    result = judged(gap, held, level, sources)
+    result = congruence_test(gap, held, level, sources)
     order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
-        result = judged(_aligned(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources)
+        result = congruence_test(
+            _aligned(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources
+        )
         notes = [*notes, exchange_note(first.names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
@@ -180,7 +182,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
         and _certificate(earlier.gauge) == _certificate(later.gauge)
     ):
         shared = [a.problem.gauge.shared for a in (first, second)]
-        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(COEFFICIENT))]
+        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR))]
     control = [{n: t.known_mm for n, t in s.targets.items() if t.known_mm is not None} for s in (earlier, later)]
     if control[0] and control[0] == control[1]:
         common.append(CONTROL)
@@ -194,7 +196,7 @@ def _certificate(gauge: Gauge) -> Gauge:
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> Gap:
+def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> EpochDifference:
     """Differences of the second epoch, aligned to the first unless both frames are fixed, along `axes` (a,)."""
     before, after, turn = first.points, second.points, np.eye(3)
     middle = before[stable].mean(axis=0)
@@ -202,7 +204,7 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: I
     free = scipy.linalg.orth(both) if both.shape[1] else both
     if free.shape[1] and len(axes) > 1:
         weights = stable.astype(np.float64)
-        for _ in range(ALIGNING):
+        for _ in range(ALIGNMENT_ROUNDS):
             turn, shift = align(second.points, before, weights)
             after = second.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
@@ -213,13 +215,13 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: I
     motions = rigid_motion(before, middle)
     motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(before - middle).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_UNIT_MOTION * np.abs(before - middle).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
         motions = np.hstack([motions, (before - middle)[:, axes].reshape(-1, 1)])
-    return Gap(first.names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled)
+    return EpochDifference(first.names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:
@@ -229,7 +231,7 @@ def _about(free: Floats, centre: Floats) -> Floats:
     return about
 
 
-SINGULAR = 1e-7
+RANK_DEFECT = 1e-7
 """Ratio of an eigenvalue of the correlation matrix to the largest below which the covariance has a rank defect; files
 round to 1e-9.
 """
@@ -249,7 +251,7 @@ def open_motions(epoch: Coordinates) -> Floats:
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((values < SINGULAR * values[-1]).sum())
+    defect = int((values < RANK_DEFECT * values[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     middle = epoch.points.mean(axis=0)
@@ -257,7 +259,7 @@ def open_motions(epoch: Coordinates) -> Floats:
     moving = np.flatnonzero(np.linalg.norm(motions, axis=0) > 0)
     basis, triangle = np.linalg.qr(motions[:, moving])
     variance, directions = np.linalg.eigh(basis.T @ epoch.covariance @ basis)
-    still = directions[:, variance < SINGULAR * scale.max() ** 2]
+    still = directions[:, variance < RANK_DEFECT * scale.max() ** 2]
     free_motions = np.zeros((6, still.shape[1]))
     free_motions[moving] = scipy.linalg.solve_triangular(triangle, still)
     if still.shape[1] != defect:
@@ -267,7 +269,7 @@ def open_motions(epoch: Coordinates) -> Floats:
     return free_motions
 
 
-def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
+def exchanged(gap: EpochDifference, moved: Sequence[int]) -> Ints | None:
     """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
     Each of the `moved` points is at the first-epoch position of another one, far from its own.

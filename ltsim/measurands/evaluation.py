@@ -9,7 +9,15 @@ from ltsim.calibration.result import frame_of
 from ltsim.core.arrays import Bools, Floats
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, Output
-from ltsim.measurands.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
+from ltsim.measurands.propagation import (
+    MAX_CURVATURE,
+    LinearUncertainty,
+    MonteCarloUncertainty,
+    curvature,
+    draw,
+    expansion_of,
+    propagate,
+)
 from ltsim.measurands.spec import Task, Tasks
 from ltsim.measurands.uncertainty import BudgetPart, Distribution, HiddenPart, TaskResult, Uncertainty, conformity
 from ltsim.recordings.coordinates import Coordinates
@@ -17,7 +25,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MATTERS = 0.2
+MIN_HIDDEN_SHARE = 0.2
 """Smallest share of the standard uncertainty from which an error without effect on the readings is reported: it would
 add 2 % to the uncertainty.
 """
@@ -33,9 +41,9 @@ class Evaluation:
     tasks: Tasks
     inputs: Inputs
     measurands: tuple[Measurand, ...]
-    linear: Propagated
+    linear: LinearUncertainty
     """Uncertainty by the law of propagation (GUM)."""
-    drawn: Drawn
+    drawn: MonteCarloUncertainty
     """Uncertainty by Monte Carlo (JCGM 101)."""
     agrees: Bools
     """Flags (k,) that the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
@@ -54,7 +62,7 @@ class Evaluation:
         warnings = [f"every budget holds the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
-            if self.curved[i] > CURVED:
+            if self.curved[i] > MAX_CURVATURE:
                 gap = f"off by {self.curved[i]:.2g} of it"
                 warnings.append(
                     f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak"
@@ -119,13 +127,13 @@ class Evaluation:
         )
 
     def _hidden(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
-        """Errors without effect on the readings that change one result by more than `MATTERS` of its uncertainty."""
+        """Errors without effect on readings that change a result by `MIN_HIDDEN_SHARE` of its uncertainty or more."""
         changes = {
             name: abs(float(self.linear.by_points[i] @ moved)) / unit for name, moved in self.inputs.hidden.items()
         }
         ranked = sorted(changes, key=lambda name: -changes[name])
         return tuple(
-            HiddenPart(source=name, change=changes[name]) for name in ranked if changes[name] > MATTERS * sigma
+            HiddenPart(source=name, change=changes[name]) for name in ranked if changes[name] > MIN_HIDDEN_SHARE * sigma
         )
 
     def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:

@@ -17,9 +17,9 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
 
 ITERATIONS = 60
-CONVERGED = 1e-11
+STEP_TOLERANCE = 1e-11
 """Largest step, relative to the extent of the points, at which an iteration has converged."""
-DIRECTIONS = 60
+INITIAL_AXES = 60
 """Number of initial axes of a cylinder, distributed over a half sphere."""
 
 
@@ -41,7 +41,7 @@ class Feature:
     """
 
 
-LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
+MIN_POINTS = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
 """Smallest number of points that determine each feature."""
 
 
@@ -52,8 +52,8 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
     not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
-    if points.shape[-2] < LEAST[kind]:
-        raise ModelError(f"a {kind} needs at least {LEAST[kind]} points, not {points.shape[-2]}")
+    if points.shape[-2] < MIN_POINTS[kind]:
+        raise ModelError(f"a {kind} needs at least {MIN_POINTS[kind]} points, not {points.shape[-2]}")
     middle = points.mean(axis=-2, keepdims=True)
     local = points - middle
     extent = np.sqrt(np.mean(np.sum(local**2, axis=-1), axis=-1))
@@ -96,7 +96,7 @@ def _fit_sphere(local: Floats, _near: Feature | None) -> Feature:
         design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
         step = _step(design, length - radius[..., None], "sphere")
         centre, radius = centre + step[..., :3], radius + step[..., 3]
-        if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
+        if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     deviations = np.linalg.norm(local - centre[..., None, :], axis=-1) - radius[..., None]
     return Feature(centre, np.full_like(centre, np.nan), radius, deviations)
@@ -118,7 +118,7 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
         shift = step[..., :1] * first + step[..., 1:2] * second + step[..., 2:3] * normal
         centre, radius = centre + shift, radius + step[..., 5]
         normal = _unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
-        if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
+        if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     _, height, x, y = _about(local, centre, normal)
     radial = np.hypot(x, y) - radius[..., None]
@@ -131,7 +131,7 @@ def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
         return _refined_cylinder(local, near.normal, near.centre, near.radius)
     features = []
     for points in local.reshape(-1, *local.shape[-2:]):
-        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
+        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere(INITIAL_AXES)])
         many = np.broadcast_to(points, (len(axes), *points.shape))
         centre, radius = _circle_across(many, axes, strict=False)
         gap = np.hypot(*_about(many, centre, axes)[2:]) - radius[:, None]
@@ -158,7 +158,7 @@ def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Flo
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
         normal = _unit(normal + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
-        if np.nanmax(size, initial=0.0) < CONVERGED:
+        if np.nanmax(size, initial=0.0) < STEP_TOLERANCE:
             break
     centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
     return Feature(centre, normal, radius, np.hypot(*_about(local, centre, normal)[2:]) - radius[..., None])

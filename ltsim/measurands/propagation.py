@@ -26,7 +26,7 @@ from ltsim.measurands.spec import MonteCarlo, PartExpansion
 from ltsim.recordings.coordinates import Coordinates
 
 CHECKS = 8
-CURVED = 0.05
+MAX_CURVATURE = 0.05
 """Difference between the exact and the linear adjustment, in standard uncertainties, from which it is reported."""
 
 
@@ -45,7 +45,7 @@ def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
 
 
 @dataclass(frozen=True)
-class Propagated(ValueEquality):
+class LinearUncertainty(ValueEquality):
     """Results of all tasks together by the law of propagation."""
 
     values: Floats
@@ -78,7 +78,7 @@ class Propagated(ValueEquality):
         return correlation
 
 
-def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> Propagated:
+def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> LinearUncertainty:
     """First-order propagation of all sources through adjustment and tasks."""
     points = inputs.points
     values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
@@ -97,7 +97,7 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
         kinds[name] = "B"
-    return Propagated(values, covariance, shares, kinds, by_points, by_stretch)
+    return LinearUncertainty(values, covariance, shares, kinds, by_points, by_stretch)
 
 
 def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Floats:
@@ -133,11 +133,11 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
 
 
 BATCH = 10_000
-PIECE = 1_000
+TRIALS_PER_CALL = 1_000
 """Number of trials that are evaluated together, for speed at moderate memory."""
-FINE = 5.0
+TOLERANCE_RATIO = 5.0
 """Ratio of the tolerance to the numerical error of results that are compared with it (clause 8.2)."""
-NORMAL = 1e-9
+MAX_NON_NORMAL_SHARE = 1e-9
 """Fraction of a variance below which non-normal variates are neglected in a sum."""
 STEP, STEPS = 0.05, 40_000
 """Step per standard deviation, and number of steps, of the integral over the characteristic function."""
@@ -150,7 +150,7 @@ CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
 
 
 @dataclass(frozen=True)
-class Drawn(ValueEquality):
+class MonteCarloUncertainty(ValueEquality):
     """Distribution of the results by Monte Carlo."""
 
     values: Floats
@@ -173,7 +173,7 @@ class Drawn(ValueEquality):
         """Number of trials."""
         return len(self.values)
 
-    def agrees(self, linear: Propagated, coverage: float) -> Bools:
+    def agrees(self, linear: LinearUncertainty, coverage: float) -> Bools:
         """Flags (k,) that the limits of the linear interval agree with those of the distribution (clause 8).
 
         The numerical error is allowed for in favour of agreement; for stable results it is a fifth of the tolerance.
@@ -185,8 +185,8 @@ class Drawn(ValueEquality):
 
 
 def draw(
-    inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo, linear: Propagated
-) -> Drawn:
+    inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo, linear: LinearUncertainty
+) -> MonteCarloUncertainty:
     """Distribution from trials until all results are known to a fifth of their tolerance, or up to a number."""
     exact = _linear_figures(inputs, linear, settings.coverage)
     samples: list[Floats] = []
@@ -196,7 +196,7 @@ def draw(
     power = np.floor(np.log10(np.where(uncertain, linear.sigma, 1.0))) - (settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear.values)), np.inf)
-    while len(samples) < most and not np.all(FINE * error <= tolerance):
+    while len(samples) < most and not np.all(TOLERANCE_RATIO * error <= tolerance):
         shift, grown = _errors(inputs, stretch, settings.seed, len(samples))
         by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
         points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
@@ -206,7 +206,7 @@ def draw(
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
     every = np.concatenate(samples)
-    return Drawn(
+    return MonteCarloUncertainty(
         values=every,
         mean=mean,
         sigma=sigma,
@@ -233,12 +233,12 @@ def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple
 
 def _results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
     """Results (BATCH, k) for points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
-    pieces = [slice(at, at + PIECE) for at in range(0, BATCH, PIECE)]
+    pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, BATCH, TRIALS_PER_CALL)]
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(rows)
 
 
-def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floats:
+def _linear_figures(inputs: Inputs, linear: LinearUncertainty, coverage: float) -> Floats:
     """Mean, standard deviation and interval limits of the linear model without random draws, (4, k)."""
     others = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
     half = np.array(
@@ -257,7 +257,7 @@ def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: fl
     481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in others)
-    if sigma == 0 or independent <= NORMAL * sigma**2:
+    if sigma == 0 or independent <= MAX_NON_NORMAL_SHARE * sigma**2:
         return float(special.ndtri(0.5 + coverage / 2)) * sigma
     at = STEP * (np.arange(STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / sigma**2, 0.0) * at**2)

@@ -62,7 +62,7 @@ HIDDEN = Table(
 NOT_INCLUDED = "not included"
 """Type, in the budget table, of an error that is not part of the uncertainty."""
 Size = Annotated[float, Field(ge=0)]
-MOST_REPORTED = 8
+MAX_REPORTED = 8
 """Largest number of results in the summary lines."""
 
 
@@ -205,7 +205,7 @@ class Uncertainty(ResultFile):
     """Warnings about the validity of the results."""
 
     def _lines(self) -> list[str]:
-        lines = [r.words for r in self.results[:MOST_REPORTED]]
+        lines = [r.words for r in self.results[:MAX_REPORTED]]
         more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
         return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]

@@ -18,7 +18,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.rigid import holds_pose, rigid_motion
+from ltsim.geometry.rigid import determines_pose, rigid_motion
 from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
@@ -27,7 +27,7 @@ from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
 """[m, rad] Internal unit of poses and targets, so that all columns have a similar norm."""
@@ -217,7 +217,7 @@ class LayoutScorer:
         t, x = self.rows(position, yaw, at, visible)
         flat = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = holds_pose(self.survey.points, visible, self._vertical[at])
+        held = determines_pose(self.survey.points, visible, self._vertical[at])
         return NormalBlocks(position, yaw, visible, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: NormalBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
@@ -255,7 +255,7 @@ class LayoutScorer:
         reduced, tt, tk = self._normal(blocks, chosen)
         if not self._use.all():  # a whole sight places its target
             spread = np.linalg.eigvalsh(tt)
-            open_ = spread[..., 0] <= POINT * spread[..., 2]
+            open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
             reduced[open_.any(axis=1)] = np.nan
         inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)

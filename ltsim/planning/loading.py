@@ -14,12 +14,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.site import FEWEST, Placement
+from ltsim.planning.site import MIN_TARGETS, Placement
 from ltsim.planning.spec import WALLS, PlanFile, Point
 from ltsim.recordings.coordinates import Points, read_points as read_coordinates
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.settings import checked, read_toml
-from ltsim.scene.floor import grid_step, ground_of, may_stand, over
+from ltsim.scene.floor import areas_and_keep_outs, grid_over, grid_step, may_stand
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
@@ -30,9 +30,9 @@ TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
 USUAL_HEIGHT_MM = (1400.0, 1800.0)
 """Lowest and highest centre of the head [mm] on a usual stand."""
-SAME_MM = 0.1
+SAME_POINT_MM = 0.1
 """Distance [mm] within which a point of a list equals the scenario's target of the same name."""
-BEGIN = 4
+INITIAL_STATIONS = 4
 """Number of initial stations if the plan does not give one."""
 BUILT_IN = files("ltsim.planning") / "builtin"
 
@@ -199,8 +199,8 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = scenario_from(table, file)
     _check_size(points, scenario, file)
-    count = made.stations.count or BEGIN
-    places = _begin(made, scenario, count)
+    count = made.stations.count or INITIAL_STATIONS
+    places = _initial_places(made, scenario, count)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)
@@ -227,7 +227,7 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
     for point in points:
         there = scenario.targets.get(point.name)
         place = np.array([point.x_mm, point.y_mm, point.z_mm])
-        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_MM:
+        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_POINT_MM:
             continue
         if point.name in scenario.target_names:
             raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
@@ -236,19 +236,19 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
     return scenario.model_copy(update={"targets": {**existing, **added}})
 
 
-def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
+def _initial_places(made: PlanFile, scenario: Scenario, count: int) -> Floats:
     """Initial places (count, 3) [m], one after the other, at which most targets with few sights are visible."""
     heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
-    areas, keep_outs = ground_of(made.floor, scenario.workshop.size_mm, heights)
+    areas, keep_outs = areas_and_keep_outs(made.floor, scenario.workshop.size_mm, heights)
     obstacles, points = obstacles_of(scenario), planned(scenario).points
-    grid = np.concatenate([over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
+    grid = np.concatenate([grid_over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
     grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise SetupError(
             "the floor has no place where a tripod may stand; widen it, move obstacles, or give a smaller grid_mm"
         )
     visible = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
-    useful = visible.sum(axis=1) >= FEWEST
+    useful = visible.sum(axis=1) >= MIN_TARGETS
     if not useful.any():
         raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
     spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)

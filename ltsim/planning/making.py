@@ -20,13 +20,13 @@ from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
-MOST_SETUPS = 200_000
+MAX_SETUPS = 200_000
 """Largest number of set-ups of a grid that one search holds in memory."""
-SEARCHING = 0.8
+SEARCH_SHARE = 0.8
 """Fraction of the progress bar for the search."""
-FEWEST = 2
+MIN_STATIONS = 2
 """Smallest number of stations of a network."""
-LITTLE = 0.95
+MAX_IMPROVEMENT_FACTOR = 0.95
 """Largest factor on the ratio of error to tolerance by which an additional station must reduce it; otherwise the search
 stops.
 """
@@ -61,7 +61,7 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     best = search.fewest() if file.searches_count else search.at_count()
     if not np.isfinite(best.value):
         raise SetupError(OPEN)
-    heard.progress("judging tolerances and changes", SEARCHING)
+    heard.progress("judging tolerances and changes", SEARCH_SHARE)
     made = judge(search.file, scenario, best.survey)
     heard.progress("judging tolerances and changes", 1.0)
     values = search.layouts.get((len(best.survey.position), len(best.survey.faces)), [])
@@ -105,7 +105,7 @@ class _Search:
             self.heard.keep(survey)
 
         def progress(done: float) -> None:
-            self.heard.progress("searching layouts", SEARCHING * share(done))
+            self.heard.progress("searching layouts", SEARCH_SHARE * share(done))
 
         made, stopped = gathered(self.problem, tasks, self.jobs, progress, keep)
         self.layouts |= made
@@ -158,13 +158,17 @@ class _Search:
             self.problem = replace(self.problem, file=self.file.with_min_stations(least))
         file, faces = self.file, self.ways[0]
         min_stations = file.stations.min_stations_per_target
-        first = max(FEWEST if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations)
+        first = max(
+            MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
+        )
         counts = range(first, max(first, file.stations.max_count) + 1)
         placement = check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
         judgements: list[tuple[float, TradeoffPoint]] = []
         k = 0
         for n in counts:
-            if n < counts[-1] and (lacking := _lacking(self.problem.site(SearchTask(n, faces[-1], 0)), placement)):
+            if n < counts[-1] and (
+                lacking := _unseen_by_all_layouts(self.problem.site(SearchTask(n, faces[-1], 0)), placement)
+            ):
                 self.tried.append(StationCountResult(n, None, False, lacking))
                 continue
             tasks = [SearchTask(n, f, start) for f in faces for start in range(file.search.starts)]
@@ -201,9 +205,9 @@ class _Search:
         ]
 
     def _levels_off(self) -> bool:
-        """True if each of the last two additional stations reduced the largest error by less than `LITTLE`."""
+        """True if neither of the last two additional stations reduced the largest error by `MAX_IMPROVEMENT_FACTOR`."""
         ratios = [outcome.ratio if outcome.ratio is not None else np.inf for outcome in self.tried]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > LITTLE**2 * ratios[-3]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_IMPROVEMENT_FACTOR**2 * ratios[-3]
 
     def _no_layout_message(self, counts: range) -> str:
         hours = self.file.budget.hours
@@ -236,7 +240,7 @@ class _Search:
         return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
 
 
-def _lacking(site: SearchSpace, placement: Placement) -> str:
+def _unseen_by_all_layouts(site: SearchSpace, placement: Placement) -> str:
     """Text of the points that neither any layout on the grid nor the present one sees; empty for none."""
     position = site.survey.position
     if site.feasible(position[None], site.visible(position)[None])[0]:
@@ -253,10 +257,10 @@ def _check_size(file: PlanFile, scenario: Scenario) -> None:
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
     sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
     count = float(np.prod(1.0 + sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
-    if count > MOST_SETUPS:
+    if count > MAX_SETUPS:
         raise SetupError(
             f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {count:.2g} "
-            f"set-ups, the most is {MOST_SETUPS}; give a larger grid_mm or a smaller floor"
+            f"set-ups, the most is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
         )
 
 

@@ -24,7 +24,7 @@ from ltsim.planning.fast import Reduced
 
 CriterionName = Literal["D", "A", "E"]
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
-LEAST_IMPROVEMENT = 1e-4
+MIN_IMPROVEMENT = 1e-4
 """Relative improvement below which a sweep of exchanges counts as unsuccessful."""
 
 

@@ -11,7 +11,7 @@ from ltsim.calibration.combinations import Combination
 from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning.objective import TARGETS
 from ltsim.planning.plan_change import in_degrees, in_millimetres
-from ltsim.planning.tolerances import ToleranceCheck, keeps, percent
+from ltsim.planning.tolerances import ToleranceCheck, is_met, percent
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ class ReflectorEntry(Entry):
             return {}
         within, used = check.radius[name] / MILLIMETRE, check.used(name)
         return {
-            "within_mm": within, "tolerance_mm": check.tolerance[name] / MILLIMETRE, "used": used, "met": keeps(used),
+            "within_mm": within, "tolerance_mm": check.tolerance[name] / MILLIMETRE, "used": used, "met": is_met(used),
         }  # fmt: skip
 
 

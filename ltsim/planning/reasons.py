@@ -15,8 +15,8 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.plan_entries import PlannedParameterEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork, StationCountResult, TradeoffPoint, measure
-from ltsim.planning.site import MOST_NAMED, too_near, words_of
-from ltsim.planning.tolerances import against, keeps, loss_sentences
+from ltsim.planning.site import MAX_NAMED, too_near, words_of
+from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import objective_of
 
 GAIN = " (gain "
@@ -69,7 +69,7 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
         return []
     *fewer, last = plan.tried
     outcomes = _came_of(fewer, plan.site.min_sights)
-    good = last.ratio is not None and keeps(last.ratio)
+    good = last.ratio is not None and is_met(last.ratio)
     count = len(plan.chosen.survey.position)
     sentences = (
         [f"{last.stations} stations are the fewest for which the search found a layout that meets the tolerances."]
@@ -95,7 +95,7 @@ def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
 
     def words(outcome: StationCountResult) -> str:
         if outcome.ratio is not None and np.isfinite(outcome.ratio):
-            return f"the best layout has an error of {against(outcome.ratio, 1.0)} times its tolerance"
+            return f"the best layout has an error of {text_near_limit(outcome.ratio, 1.0)} times its tolerance"
         if outcome.has_layout:
             return "the best layout does not determine every point"
         return f"no layout has every point in sight of {least} station{'s' if least > 1 else ''}"
@@ -213,10 +213,10 @@ def _limits(plan: PlannedNetwork) -> list[str]:
         least = survey.visible.sum(axis=0).min()
         sentences.append(f"Every reflector is visible from at least {least} station{'s' if least > 1 else ''}.")
     if site.obstacles is not None:
-        depth = np.linalg.norm(site.obstacles.over_skin(survey.points) - survey.points, axis=1)
+        depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.points) - survey.points, axis=1)
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             sentences.append(
-                f"{listing(under, MOST_NAMED)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
+                f"{listing(under, MAX_NAMED)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
                 "within the tolerance of its mesh, and are treated as on its surface."
             )
     lost = plan.chosen.table.lost(names, survey.target_names)

@@ -16,7 +16,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.fast import LayoutScorer, Reduced
-from ltsim.planning.objective import LEAST_IMPROVEMENT, TARGETS, Objective
+from ltsim.planning.objective import MIN_IMPROVEMENT, TARGETS, Objective
 from ltsim.planning.plan_change import PlanChange, in_millimetres
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import Survey
@@ -24,7 +24,7 @@ from ltsim.scene.visibility import aimed_normals
 
 SWEEPS = 8
 """Largest number of rounds of exchanges."""
-SAME_PLACE = 1e-3
+SAME_PLACE_M = 1e-3
 """Distance [m] within which a candidate place equals the present place of a reflector."""
 
 
@@ -141,8 +141,10 @@ class Movable:
         places = np.concatenate([survey.points[~stays], offered])
         present = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
         good = _usable(site, survey, places)
-        good &= ~np.r_[np.zeros(len(present), bool), _taken(survey.points[~stays], offered, SAME_PLACE)]
-        good &= ~np.r_[np.zeros(len(present), bool), _taken(survey.points[stays], offered, site.reflector_spacing)]
+        good &= ~np.r_[np.zeros(len(present), bool), _near_points(survey.points[~stays], offered, SAME_PLACE_M)]
+        good &= ~np.r_[
+            np.zeros(len(present), bool), _near_points(survey.points[stays], offered, site.reflector_spacing)
+        ]
         names = tuple(n for n, g in zip((*present, *site.nest_names), good, strict=True) if g)
         places = places[good]
         visible = site.visible(survey.position, np.concatenate([survey.points[stays], places]))
@@ -186,7 +188,7 @@ def _usable(site: SearchSpace, survey: Survey, places: Floats) -> Bools:
     return good
 
 
-def _taken(points: Floats, places: Floats, within: float) -> Bools:
+def _near_points(points: Floats, places: Floats, within: float) -> Bools:
     """Flags (P,) of the places within a distance [m] of a point."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < within).any(axis=1))
@@ -224,16 +226,16 @@ def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: I
             if values[best] < value:
                 chosen[i], value = free[best], float(values[best])
                 total = without + table.terms[chosen[i]]
-        if value > before * (1 - LEAST_IMPROVEMENT):
+        if value > before * (1 - MIN_IMPROVEMENT):
             break
     return chosen
 
 
-MATERIAL = 0.002
+MIN_GAIN = 0.002
 """Smallest relative improvement of the quality at which a change is reported."""
-NEGLIGIBLE = 5e-4
+UNCHANGED_QUALITY = 5e-4
 """Relative change of the quality up to which it counts as unchanged."""
-MOST_REPORTED = 3
+MAX_REPORTED = 3
 """Largest number of reported changes of each kind."""
 
 ChangeKind = Literal["move", "add", "remove"]
@@ -251,7 +253,7 @@ class Changes:
     tried: dict[ChangeKind, int]
     """Number of evaluated changes, by kind."""
     helped: dict[ChangeKind, int]
-    """Number of changes that improve the quality by more than `MATERIAL`, by kind."""
+    """Number of changes that improve the quality by more than `MIN_GAIN`, by kind."""
 
     @property
     def summary(self) -> str:
@@ -264,7 +266,7 @@ class Changes:
         return (
             f"Tried one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
             f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
-            f"{100 * MATERIAL:.1f} %."
+            f"{100 * MIN_GAIN:.1f} %."
         )
 
 
@@ -274,10 +276,12 @@ def reflector_changes(
     """Results of every move, addition and removal of one reflector except the fixed ones (`stays` (T,))."""
     if stays.all() and site.nests is None:
         return Changes((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
-    return _Trial(Movable.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
+    return _ReflectorTrials(
+        Movable.of(site, survey, stays, objective, construction), objective, site.reflector_spacing
+    ).changes()
 
 
-class _Trial:
+class _ReflectorTrials:
     """Evaluation of changes of a layout, with the reflectors at their present places."""
 
     def __init__(self, choice: Movable, objective: Objective, spacing: float) -> None:
@@ -330,7 +334,7 @@ class _Trial:
                 return
             values = self._worth(totals, sets, others)
             tried[what] += len(values)
-            helped[what] += int(np.sum(values < 1 - MATERIAL))
+            helped[what] += int(np.sum(values < 1 - MIN_GAIN))
             for k in np.argsort(values)[: 1 if what == "move" else None].tolist():
                 place = None if what == "remove" else int(places[k])
                 candidates[what].append((float(values[k]), taken, place, totals[k]))
@@ -341,8 +345,8 @@ class _Trial:
         note("add", None, self._free(chosen))
         reported: list[PlanChange] = []
         for what, made in candidates.items():
-            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:MOST_REPORTED]
-            reported += [self._change(what, *change) for change in best if what == "remove" or change[0] < 1 - MATERIAL]
+            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED]
+            reported += [self._change(what, *change) for change in best if what == "remove" or change[0] < 1 - MIN_GAIN]
         return Changes(tuple(reported), tried, helped)
 
     def _change(
@@ -373,7 +377,7 @@ class _Trial:
 
 def _words(change: PlanChange) -> str:
     """Sentence on a change and its benefit, without a full stop."""
-    if abs(1 - change.quality) < NEGLIGIBLE:
+    if abs(1 - change.quality) < UNCHANGED_QUALITY:
         return f"{change.deed}: makes no difference"
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"

@@ -17,15 +17,15 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
-from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
+from ltsim.planning.objective import MIN_IMPROVEMENT, Objective
 from ltsim.planning.site import Placement, SearchSpace
 
 CHUNK = 64
 SWEEPS = 12
 TRIES = 12
-PACE = 0.985
+PROGRESS_FACTOR = 0.985
 """Factor on the remaining part of the progress bar for each step; the number of steps is unknown in advance."""
-FINEST = 0.004
+MIN_STEP = 0.004
 """Step [m] of the last moves off the grid."""
 
 
@@ -133,7 +133,7 @@ class LayoutSearcher:
     def _step(self) -> None:
         """Report of progress to the callback."""
         self._steps += 1
-        self.tell(1.0 - PACE**self._steps)
+        self.tell(1.0 - PROGRESS_FACTOR**self._steps)
 
     def replacements(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> Floats:
         """Objective (N,) of the layout with each candidate as station `slot`; infinite if a rule is broken."""
@@ -171,7 +171,7 @@ class LayoutSearcher:
         for _ in range(SWEEPS):
             before = value
             layout, value = self._sweep(layout, value, lambda _, slot: self.table(slot))
-            if not value < before * (1 - LEAST_IMPROVEMENT):
+            if not value < before * (1 - MIN_IMPROVEMENT):
                 break
         return layout, value
 
@@ -192,10 +192,10 @@ class LayoutSearcher:
             good = self.site.allowed(position)
             return self.pool(position[good], layout.yaw[slot] + moves[good, 3], slot) if good.any() else None
 
-        while reach > FINEST:
+        while reach > MIN_STEP:
             before = value
             layout, value = self._sweep(layout, value, around)
-            if not value < before * (1 - LEAST_IMPROVEMENT):
+            if not value < before * (1 - MIN_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
 

@@ -19,25 +19,25 @@ from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
 from ltsim.core.values import ValueEquality
 from ltsim.planning.survey import Survey
-from ltsim.scene.floor import Area, KeepOut, may_stand, objection, over
+from ltsim.scene.floor import Area, KeepOut, grid_over, may_stand, reason_against
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
 
-FEWEST = 3
+MIN_TARGETS = 3
 """Smallest number of visible targets of a station."""
-TOUCH = 1e-3
+COINCIDENCE_M = 1e-3
 """Distance [m] within which a station and a point coincide."""
-SLACK = 1e-9
+SPACING_TOLERANCE = 1e-9
 """Tolerance [m] of the minimum spacing of two stations, for rounding."""
 NEST_STEPS = 60
 NEST_MARGIN = 0.004
 """Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
-MOST_NAMED = 8
-DRAWS = 24
+MAX_NAMED = 8
+PLACEMENT_DRAWS = 24
 """Number of random places that are tried for a station of a random placement."""
-NODES = 3000
+MAX_NODES = 3000
 """Largest number of nodes in the branch-and-bound tree; a few were sufficient in all halls that were tried."""
-TIE = 1e-4
+RANDOM_COST = 1e-4
 """Size of the random costs of places that vary the result; they are small compared with the cost of a missing sight."""
 
 
@@ -58,7 +58,7 @@ def words_of(rules: Sequence[BrokenRule]) -> str:
 def too_near(position: Floats, spacing: float) -> Bools:
     """Flags (B, S, S), once per pair, of stations of layouts (B, S, 3) [m] nearer than the horizontal spacing [m]."""
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
-    return np.asarray(np.triu(gap <= spacing - SLACK, 1))
+    return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
 
 
 def short_of_sights(visible: Bools, least: int) -> Bools:
@@ -67,8 +67,8 @@ def short_of_sights(visible: Bools, least: int) -> Bools:
 
 
 def short_of_targets(visible: Bools) -> Bools:
-    """Flags (B, S) of the stations that see fewer than `FEWEST` targets; `visible` is (B, S, T)."""
-    return np.asarray(visible.sum(axis=2) < FEWEST)
+    """Flags (B, S) of the stations that see fewer than `MIN_TARGETS` targets; `visible` is (B, S, T)."""
+    return np.asarray(visible.sum(axis=2) < MIN_TARGETS)
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class SearchSpace(ValueEquality):
         if self.obstacles is not None and self.position_tolerance:
             s, t = np.nonzero(good)
             good[s, t] = ~self.obstacles.blocked_near(
-                position[s], self.obstacles.over_skin(goal)[t], self.position_tolerance
+                position[s], self.obstacles.moved_to_surface(goal)[t], self.position_tolerance
             )
         return good
 
@@ -147,9 +147,9 @@ class SearchSpace(ValueEquality):
         names, position = survey.station_names, survey.position
         rules = []
         for name, place in zip(names, position, strict=True):
-            if why := objection(self.areas, self.keep_outs, self.obstacles, place):
+            if why := reason_against(self.areas, self.keep_outs, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
-        for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < TOUCH).tolist():
+        for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < COINCIDENCE_M).tolist():
             rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
         for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
@@ -166,26 +166,26 @@ class SearchSpace(ValueEquality):
                 "is" if len(few) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MOST_NAMED)
+            named = listing(few, MAX_NAMED)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
         for s in np.flatnonzero(short_of_targets(visible)[0]):
             count = int(survey.visible[s].sum())
-            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {FEWEST}"))
+            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {MIN_TARGETS}"))
         if self.aimed.any():
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.aimed)]
             turned = [name for name, ok in zip(aimed, self._served(survey.position[None])[0], strict=True) if not ok]
             if turned:
-                words = f"no fixed nest of {listing(turned, MOST_NAMED)} returns the beam to all stations"
+                words = f"no fixed nest of {listing(turned, MAX_NAMED)} returns the beam to all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
     def connectivity(self, visible: Bools) -> Floats:
         """Number of stations connected to the first by two common targets, plus mean number of common targets, (B,)."""
-        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), FEWEST)
+        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), MIN_TARGETS)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
-        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))
+        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_TARGETS + 1))
 
     def _served(self, position: Floats) -> Bools:
         """Flags (B, N) of the fixed nests that can be aimed so that all stations are within the acceptance angle."""
@@ -203,17 +203,17 @@ class SearchSpace(ValueEquality):
         cure = "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
         if within:
             lie = "lies" if len(within) == 1 else "lie"
-            cure = f"{listing(within, MOST_NAMED)} {lie} inside an obstacle: move points or bodies"
-        return f"no place on the floor sees {listing(names, MOST_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
+            cure = f"{listing(within, MAX_NAMED)} {lie} inside an obstacle: move points or bodies"
+        return f"no place on the floor sees {listing(names, MAX_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
 
     def unseen_targets(self, placement: Placement, chosen: list[int]) -> str:
         """Text of the targets with too few sights from stations at places of a placement; empty for none."""
         few = np.flatnonzero(placement.missing(chosen, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MOST_NAMED) if len(few) else ""
+        return listing([self.survey.target_names[t] for t in few], MAX_NAMED) if len(few) else ""
 
     def places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""
-        grid = np.concatenate([over(area, step, heights) for area in self.areas])
+        grid = np.concatenate([grid_over(area, step, heights) for area in self.areas])
         return np.unique(grid[self.allowed(grid)], axis=0)
 
     def placement(self, step: float, heights: int) -> Placement:
@@ -223,7 +223,7 @@ class SearchSpace(ValueEquality):
         """
         places, fixed = self.places(step, heights), self.survey.position[list(self.fixed)]
         visible = self.visible(places)
-        enough = visible.sum(axis=1) >= FEWEST
+        enough = visible.sum(axis=1) >= MIN_TARGETS
         if not enough.any():
             raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
         counted = self.visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
@@ -267,7 +267,7 @@ class Placement:
         It is -1 if none is permitted.
         """
         count = len(self.position)
-        rows = np.arange(count) if rng is None else rng.integers(count, size=min(DRAWS, count))
+        rows = np.arange(count) if rng is None else rng.integers(count, size=min(PLACEMENT_DRAWS, count))
         had = self.counted + self.visible[others].sum(axis=0)
         worth = (np.minimum(had + self.visible[rows], wanted) - np.minimum(had, wanted)).sum(axis=1).astype(np.float64)
         worth += 1e-3 * (self.visible[rows] / (1.0 + had) ** 2).sum(axis=1)
@@ -292,12 +292,12 @@ class Placement:
         ]
         if len(first):
             limits.append(LinearConstraint(sp.hstack([pairs, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
-        cost = np.zeros(places) if rng is None else TIE * rng.random(places)
+        cost = np.zeros(places) if rng is None else RANDOM_COST * rng.random(places)
         solution = milp(
             np.r_[cost, np.ones(targets)],
             constraints=limits,
             integrality=np.r_[np.ones(places), np.zeros(targets)],
             bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted))]),
-            options={"node_limit": NODES},
+            options={"node_limit": MAX_NODES},
         )
         return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()

@@ -24,9 +24,9 @@ from ltsim.simulation.scenario import Scenario
 
 ROUNDS = 2
 """Number of times that stations and reflectors are chosen alternately."""
-SAYS = 5.0
+REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
-WORTH = 0.01
+MIN_REPORTED_GAIN = 0.01
 """Smallest relative improvement of the objective at which a layout is reported."""
 
 Layout = tuple[float, Survey]
@@ -87,7 +87,7 @@ def gathered(
     def better(number: int, value: float, survey: Survey) -> None:
         nonlocal reported, last
         best[number] = value, survey
-        if value < reported * (1 - WORTH) and monotonic() - last >= SAYS:
+        if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= REPORT_INTERVAL:
             reported, last = value, monotonic()
             keep(survey, value)
 

@@ -18,22 +18,22 @@ from ltsim.planning.site import BrokenRule, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 
-LOOSE = 10.0
+DEFAULT_TOLERANCE_FACTOR = 10.0
 """Factor on the widest tolerance that gives the tolerance of points without one in the objective."""
-LEAST_WEIGHT = 1e-6
-MOST_NAMED = 5
+MIN_WEIGHT = 1e-6
+MAX_NAMED = 5
 SIGHT = "the sight"
 """First words of the name of a lost sight."""
 UNDETERMINED = "the network no longer determines its points"
 """Text for a network with undetermined motions."""
 
 
-def keeps(ratio: float) -> bool:
+def is_met(ratio: float) -> bool:
     """True if an error meets its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
     return ratio <= 1.0
 
 
-def against(value: float, limit: float, digits: int = 3) -> str:
+def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
     """Text of a value with the fewest digits (at least `digits`) that show on which side of its limit it is."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
@@ -41,7 +41,7 @@ def against(value: float, limit: float, digits: int = 3) -> str:
 
 def percent(ratio: float) -> str:
     """Ratio of error to tolerance as text: `100.4 %` for one that is 0.4 % too large."""
-    return f"{against(100.0 * ratio, 100.0)} %"
+    return f"{text_near_limit(100.0 * ratio, 100.0)} %"
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,9 @@ def importance(file: PlanFile) -> dict[str, float]:
     """Weights of a plan's points, divided by the squares of their tolerances."""
     demands = Tolerances.of(file)
     if not demands:
-        return {p.name: max(p.weight, LEAST_WEIGHT) for p in file.listed if p.weight != 1.0}
-    tight, wide = min(demands.tolerance.values()), LOOSE * max(demands.tolerance.values())
-    return {
-        p.name: max(p.weight * (tight / demands.tolerance.get(p.name, wide)) ** 2, LEAST_WEIGHT) for p in file.listed
-    }
+        return {p.name: max(p.weight, MIN_WEIGHT) for p in file.listed if p.weight != 1.0}
+    tight, wide = min(demands.tolerance.values()), DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance.values())
+    return {p.name: max(p.weight * (tight / demands.tolerance.get(p.name, wide)) ** 2, MIN_WEIGHT) for p in file.listed}
 
 
 def radius(covariance: Floats, level: float) -> Floats:
@@ -114,7 +112,7 @@ class ToleranceCheck:
     @property
     def good(self) -> bool:
         """True if all tolerances are met."""
-        return keeps(self.ratio)
+        return is_met(self.ratio)
 
     @property
     def of_sight(self) -> bool:
@@ -124,7 +122,7 @@ class ToleranceCheck:
     @property
     def over(self) -> list[str]:
         """Determined points whose errors exceed their tolerances."""
-        return [name for name in self.radius if not keeps(self.used(name))]
+        return [name for name in self.radius if not is_met(self.used(name))]
 
     def used(self, name: str) -> float:
         """Ratio of a point's error to its tolerance."""
@@ -148,7 +146,7 @@ class ToleranceCheck:
         """Clause on the points that are not visible or exceed their tolerances."""
         if self.good:
             return f"all tolerances are met, worst point {self.worst_words}"
-        verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MOST_NAMED)
+        verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MAX_NAMED)
         parts = [f"{named} {verb} not visible from any station"] if self.unseen else []
         if not self.radius:
             parts.append(UNDETERMINED)
@@ -161,7 +159,7 @@ class ToleranceCheck:
     def numbers(self, name: str) -> str:
         """Text of a point with its error and its tolerance."""
         error, tolerance = self.radius[name] / MILLIMETRE, self.tolerance[name] / MILLIMETRE
-        return f"{name}: {against(error, tolerance)} mm, limit {tolerance:.6g} mm"
+        return f"{name}: {text_near_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
 def judged(survey: Survey, demands: Tolerances, built: Construction, lost: str = "") -> ToleranceCheck:
@@ -217,7 +215,7 @@ def is_feasible(survey: Survey, demands: Tolerances, built: Construction) -> tup
     if not whole.good or demands.robust == "no":
         return whole.good, whole.ratio
     worst = max(loss.ratio for loss in after_losses(survey, demands, built, demands.robust))
-    return keeps(worst), worst
+    return is_met(worst), worst
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,9 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
-CLEAR = 2.0
+MIN_ALTERNATIVE_DISTANCE = 2.0
 """Distance [m] of proposed places from an impossible place and from each other."""
-MOST = 4
+MAX_ALTERNATIVES = 4
 """Largest number of proposed places."""
 
 
@@ -168,15 +168,18 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
     work = problem.searcher(site.replace(survey=survey, fixed=tuple(others), min_sights=0))
     table = work.table(slot)
     values = work.replacements(work.layout(survey.position, survey.yaw), slot, table)
-    values[_gap(table.position, survey.position[slot]) < CLEAR] = np.inf
+    values[_gap(table.position, survey.position[slot]) < MIN_ALTERNATIVE_DISTANCE] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
     demanded = Tolerances.of(file).tolerance or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
     lacking = np.maximum(site.min_sights - survey.visible[others].sum(axis=0) - table.visible, 0)[:, asked].sum(axis=1)
     alternatives: list[Alternative] = []
     for best in np.lexsort((values, lacking)).tolist():
-        near = [_gap(table.position[[best]], option_.survey.position[slot])[0] < CLEAR for option_ in alternatives]
-        if len(alternatives) == MOST or not np.isfinite(values[best]) or any(near):
+        near = [
+            _gap(table.position[[best]], option_.survey.position[slot])[0] < MIN_ALTERNATIVE_DISTANCE
+            for option_ in alternatives
+        ]
+        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(values[best]) or any(near):
             continue
         position, yaw = survey.position.copy(), survey.yaw.copy()
         position[slot], yaw[slot] = table.position[best], table.yaw[best]

@@ -13,27 +13,27 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.planner import PlannedNetwork
 
-REACH = 2.2
+MAX_PLUMB_HEIGHT = 2.2
 """Largest height [m] from which a point can be plumbed to the floor."""
-TAPE = 15.0
+MAX_TAPE = 15.0
 """Longest distance [m] for a tape or a distance meter."""
-MOST_MARKS = 16
+MAX_MARKS = 16
 """Largest number of marks that are considered for a station."""
-STRAIGHT = 0.1
+MIN_STRAIGHT_GAIN = 0.1
 """Smallest gain in firmness of a distance straight to a reflector compared with one along the floor."""
-READ, PLAY, CLEAR = 0.01, 0.03, 0.1
+TAPE_RESOLUTION, MAX_AMBIGUITY, MIN_MISCLOSURE = 0.01, 0.03, 0.1
 """Resolution of a tape, largest ambiguity of the position from three distances, and smallest misclosure at any other
 position [m].
 """
-NEAR = 0.3
+MIN_TAPE = 0.3
 """Shortest useful distance [m]."""
-ANKLE = 0.1
+TAPE_HEIGHT = 0.1
 """Height [m] above the floor at which the tape must pass freely."""
-BORED = 0.03
+MIN_GAIN_PER_METRE = 0.03
 """Smallest gain in firmness of three distances per additional metre of tape."""
-TRUST = 3.0
+MOVED_SIGMAS = 3.0
 """Number of standard deviations beyond which a repeated point counts as moved."""
-COMMON = 3
+REPEATED_POINTS = 3
 """Number of points that are measured again at the end of a station."""
 
 
@@ -94,8 +94,8 @@ def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
         at = survey.station_names.index(name)
         place, visible = survey.position[at], survey.visible[at]
         order = list(dict.fromkeys(recording.target[rows].tolist()))
-        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
-        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
+        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, REPEATED_POINTS).round().astype(int))]
+        limit = {t: MOVED_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
         tapes = _tapes(_marks(plan, place, visible), place)
         settings.append(
             StationSetup(
@@ -124,11 +124,11 @@ def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDist
     targets = list(zip(survey.target_names, survey.points, strict=True))
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
-    plumbed = [*((name, point) for name, point in targets if point[2] <= REACH), *corners]
+    plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
     level = [TapeDistance.of(name, point, place, floor=True) for name, point in plumbed]
     if obstacles is not None:
-        ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
-        blocked = obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
+        ends = np.array([[*mark.place[:2], TAPE_HEIGHT] for mark in level])
+        blocked = obstacles.blocked(np.tile([*place[:2], TAPE_HEIGHT], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
     reachable = {mark.to for mark in level}
     straight = [
@@ -136,8 +136,8 @@ def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDist
         for t in np.flatnonzero(visible)
         if targets[t][0] not in reachable
     ]
-    every = [mark for mark in (*level, *straight) if mark.metres > NEAR]
-    return sorted(every, key=lambda mark: (mark.metres > TAPE, not mark.floor, mark.metres))[:MOST_MARKS]
+    every = [mark for mark in (*level, *straight) if mark.metres > MIN_TAPE]
+    return sorted(every, key=lambda mark: (mark.metres > MAX_TAPE, not mark.floor, mark.metres))[:MAX_MARKS]
 
 
 def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
@@ -149,7 +149,11 @@ def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, 
     def worth(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
         firm, good = firmness(three, place), not lacking(three, place)
         longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
-        return good, good and longest <= TAPE, firm - good * (BORED * longest + STRAIGHT * straight)
+        return (
+            good,
+            good and longest <= MAX_TAPE,
+            firm - good * (MIN_GAIN_PER_METRE * longest + MIN_STRAIGHT_GAIN * straight),
+        )
 
     return max(combinations(marks, 3), key=worth, default=tuple(marks))
 
@@ -161,11 +165,11 @@ def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
 
 
 def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
-    """Sentence on why distances with resolution `READ` do not determine one position; empty if they do."""
+    """Sentence on why distances with resolution `TAPE_RESOLUTION` do not determine one position; empty if they do."""
     if len(tapes) < 3:
         return "Fewer than three points can be taped to: mark its place by another way."
-    if (firm := firmness(tapes, place)) * PLAY < READ:
-        wide = f"by {100 * READ / firm:.0f} cm" if firm > READ else "along a line"
+    if (firm := firmness(tapes, place)) * MAX_AMBIGUITY < TAPE_RESOLUTION:
+        wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
         return f"The tapes cross too flat and leave its place open {wide}: mark it by another way."
     at = np.array([mark.place[:2] for mark in tapes])
     rise = np.array([mark.metres for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
@@ -174,7 +178,7 @@ def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
     misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.metres for mark in tapes]
-    if np.linalg.norm(mirror - place[:2]) < PLAY or np.abs(misses).max() > CLEAR:
+    if np.linalg.norm(mirror - place[:2]) < MAX_AMBIGUITY or np.abs(misses).max() > MIN_MISCLOSURE:
         return ""
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
 

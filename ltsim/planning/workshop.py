@@ -18,17 +18,17 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
 from ltsim.recordings.air import Air
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.scene.floor import ground_of
+from ltsim.scene.floor import areas_and_keep_outs
 from ltsim.scene.meshes import nest_places, walls
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
 
-LEANING = 1e-3
+MAX_TILT_DEFICIT = 1e-3
 """Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
 RANGES = ("distance",)
-SIGHTS = 3
+RANGE_STATIONS = 3
 """Number of stations whose ranges determine a reflector."""
 EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 
@@ -45,7 +45,7 @@ def survey_of(scenario: Scenario) -> Survey:
         raise SetupError("instrument.observables: a plan is for ranges with both angles, or for ranges alone")
     layout, work = planned(scenario), scenario.work
     lean = 1.0 - layout.rotation[:, 2, 2]
-    if lean.max() > LEANING:
+    if lean.max() > MAX_TILT_DEFICIT:
         raise SetupError(f"station {layout.stations[int(lean.argmax())]} leans; a plan knows upright stations only")
     recording, _ = simulate(scenario.model_copy(update={"placing": EXACT}), 0)
     return Survey(
@@ -80,15 +80,19 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
     """Search space of a plan with a number of stations and a measuring procedure."""
     survey, layout, mm, air = survey_of(scenario), planned(scenario), MILLIMETRE, scenario.air or Air()
     levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
-    areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
+    areas, keep_outs = areas_and_keep_outs(
+        plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max()))
+    )
     longest = max(np.linalg.norm(area.outline[:, None] - survey.points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
     wanted = plan.stations.min_stations_per_target
     least = stations if wanted == "all" else min(wanted, stations)
-    if not survey.is_whole and least < SIGHTS:
-        if stations < SIGHTS or plan.asks_for_sights:
-            raise SetupError(f"ranges alone place a reflector from {SIGHTS} stations, not from {least}; ask for more")
-        least = SIGHTS
+    if not survey.is_whole and least < RANGE_STATIONS:
+        if stations < RANGE_STATIONS or plan.asks_for_sights:
+            raise SetupError(
+                f"ranges alone place a reflector from {RANGE_STATIONS} stations, not from {least}; ask for more"
+            )
+        least = RANGE_STATIONS
     return SearchSpace(
         survey=with_stations(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
@@ -115,7 +119,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
 
 def fewest_sights(scenario: Scenario) -> int:
     """Smallest number of stations that must see a reflector: one, or several if ranges alone are recorded."""
-    return 1 if scenario.instrument.observables == OBSERVABLES else SIGHTS
+    return 1 if scenario.instrument.observables == OBSERVABLES else RANGE_STATIONS
 
 
 def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:

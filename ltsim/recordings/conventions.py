@@ -35,16 +35,16 @@ Pose = tuple[Floats, Floats]
 CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
-CLEARLY = 10.0
+MIN_MISFIT_RATIO = 10.0
 """Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
-MIRROR_SHARE = 1e-3
+MAX_MIRROR_MISFIT = 1e-3
 """Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
-MOST_NOTES = 3
-QUICKEST_S, SLOWEST_S = 0.1, 7200.0
+MAX_NOTES = 3
+MIN_PACE_S, MAX_PACE_S = 0.1, 7200.0
 """Shortest and longest plausible median time [s] between consecutive targets; a question about the clock is asked
 outside them.
 """
-LEAST_STEPS = 8
+MIN_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -104,20 +104,20 @@ def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle,
     angles = ANGLES if hints.angle is None else (hints.angle,)
     verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
     open_ = [
-        (a, v) for a in angles for v in verticals if _possible(table, a, v, is_declared=hints.vertical is not None)
+        (a, v) for a in angles for v in verticals if _is_possible(table, a, v, is_declared=hints.vertical is not None)
     ]
     if not open_:
         raise RecordError("the angles fit none of the units deg, gon and rad; check the columns", file=file)
     meaning, why = open_[0], "the values allow nothing else"
     if len(open_) > 1:
-        meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _ask(open_, file)
+        meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _require_hint(open_, file)
     notes = []
     if hints.angle is None or hints.vertical is None:
         notes.append(f"angles are interpreted as {meaning[0]}, the vertical ones as {meaning[1]} angles ({why})")
     return (*meaning, notes)
 
 
-def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
+def _is_possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
     """True if every value lies within the circle, and the vertical angles are within the travel of an instrument.
 
     An elevation beyond the zenith occurs on face 2 only. A file with such values, but without a target on two faces,
@@ -157,7 +157,7 @@ def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[t
     """Unit and kind of vertical angle under which most repeated targets are on two faces; None if several are equal."""
     counts = [_on_two_faces(table, angle, vertical) for angle, vertical in open_]
     best = int(np.argmax(counts))
-    if counts[best] < 2 or sorted(counts)[-2] * CLEARLY > counts[best]:
+    if counts[best] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best]:
         return None
     return open_[best], f"{counts[best]} targets were seen on two faces that add up accordingly"
 
@@ -171,12 +171,12 @@ def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple
     if not np.all(np.isfinite(gaps)):
         return None
     first, second = np.argsort(gaps)[:2]
-    if gaps[first] > 1e-2 or gaps[first] * CLEARLY > gaps[second]:
+    if gaps[first] > 1e-2 or gaps[first] * MIN_MISFIT_RATIO > gaps[second]:
         return None
     return open_[first], f"two stations then see the same lengths within a part in {1 / max(gaps[first], 1e-9):.0f}"
 
 
-def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
+def _require_hint(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
     """Error that asks the user to choose between conventions; raises RecordError with the option to type."""
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
     hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
@@ -234,7 +234,7 @@ def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Fl
         if len(np.unique(table.target[rows])) < 4:
             continue
         misfit = _misfits(local[rows], np.array([place_of[int(t)] for t in table.target[rows]]))
-        if max(misfit) > CLEARLY * min(misfit):
+        if max(misfit) > MIN_MISFIT_RATIO * min(misfit):
             votes.append(int(np.argmin(misfit)))
     return _vote(votes)
 
@@ -264,7 +264,7 @@ def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) 
             rows = table.station == s
             world[rows] = (local[rows] * [1.0, side, 1.0]) @ rotation.T + position
         misfit.append(_spread_between_stations(world, table))
-    if not np.all(np.isfinite(misfit)) or max(misfit) < CLEARLY * min(misfit):
+    if not np.all(np.isfinite(misfit)) or max(misfit) < MIN_MISFIT_RATIO * min(misfit):
         return None
     return _vote([int(np.argmin(misfit))])
 
@@ -285,15 +285,15 @@ def _vote(votes: list[int]) -> Azimuth | None:
     return "clockwise" if votes[0] else "counter-clockwise"
 
 
-def pace(recording: Recording) -> tuple[str, ...]:
+def pace_question(recording: Recording) -> tuple[str, ...]:
     """Question about the clock of a recording whose median time between targets is implausible; empty otherwise."""
     turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     steps = np.abs(np.diff(recording.time))[turned]
     steps = steps[np.isfinite(steps)]
-    if not recording.has_clock or len(steps) < LEAST_STEPS:
+    if not recording.has_clock or len(steps) < MIN_STEPS:
         return ()
     step = float(np.median(steps))
-    if QUICKEST_S <= step <= SLOWEST_S:
+    if MIN_PACE_S <= step <= MAX_PACE_S:
         return ()
     span = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
@@ -307,7 +307,7 @@ def vertical_pointings(recording: Recording) -> tuple[str, ...]:
     rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
-    where = listing([recording.where(int(row) + 1) for row in rows], MOST_NOTES)
+    where = listing([recording.where(int(row) + 1) for row in rows], MAX_NOTES)
     return (
         f"{where}: along the vertical axis of the tracker an azimuth holds no direction, and the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
@@ -333,7 +333,7 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
             f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
             "images: the azimuths of one of them run clockwise"
         )
-    return tuple(notes[:MOST_NOTES])
+    return tuple(notes[:MAX_NOTES])
 
 
 def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
@@ -348,7 +348,7 @@ def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]
             continue
         here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
         right, mirrored = _misfits(here, there)
-        if right > CLEARLY * mirrored and mirrored < MIRROR_SHARE * float(np.ptp(there, axis=0).max()):
+        if right > MIN_MISFIT_RATIO * mirrored and mirrored < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
             pairs.append((other, s))
     return pairs
 

@@ -38,15 +38,15 @@ from ltsim.recordings.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.recordings.xml import Node, banded, parse
 
 AXES = "xyz"
-SYMMETRIC = 1e-6
+MAX_ASYMMETRY = 1e-6
 """Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
-DEFINITE = -1e-9
+MIN_CORRELATION_EIGENVALUE = -1e-9
 """Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
-LARGEST_M = 500.0
+MAX_METRES = 500.0
 """Largest coordinate up to which a list without a unit is interpreted as metres."""
-GRID = 1e6
+MIN_GRID_COORDINATE = 1e6
 """Coordinate from which numbers are interpreted as a national grid, in metres."""
-GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
+GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles of surveyors' lists, which are in metres if they state no unit."""
 WIDTHS = (4, 7, 8, 16, 17)
 EXPECTED = (
@@ -104,7 +104,7 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
     for sheet in sheets_of(path):
         header = _header_of(sheet.rows) or _without_header(sheet)
         if header is not None:
-            return _List(sheet, *header).points(strict=strict)
+            return _PointRows(sheet, *header).points(strict=strict)
     raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
 
 
@@ -115,11 +115,11 @@ def recognises(head: str) -> bool:
     body = [row for row in rows[0 if header is None else header[0] :] if not row.comment]
     if header is not None:
         return not body or body[0].values > 1
-    whole = [_filled(row) for row in body[: max(1, min(6, len(body)) - 1)]]
+    whole = [_without_trailing_field(row) for row in body[: max(1, min(6, len(body)) - 1)]]
     return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in whole)
 
 
-def _filled(row: Row) -> Sequence[str]:
+def _without_trailing_field(row: Row) -> Sequence[str]:
     """Fields of a row without the empty one after a separator at the end of the line."""
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
@@ -127,9 +127,9 @@ def _filled(row: Row) -> Sequence[str]:
 def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
     """Number of the first row and columns of a list without header (name and numbers); None for other content."""
     first = next((row for row in sheet.rows if not row.comment), None)
-    if first is None or not all(map(cells.is_value, _filled(first)[1:])):
+    if first is None or not all(map(cells.is_value, _without_trailing_field(first)[1:])):
         return None
-    width = len(_filled(first))
+    width = len(_without_trailing_field(first))
     if width not in WIDTHS:
         raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED}")
     names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
@@ -159,7 +159,7 @@ def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
     return None
 
 
-class _List:
+class _PointRows:
     """Rows of a sheet from row `start` on, with the meaning of its columns."""
 
     def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
@@ -200,7 +200,7 @@ class _List:
     def _values(self, row: Row) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
-        if len(_filled(row)) != self.width:
+        if len(_without_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
         values = []
         for role, column in self.numbers.items():
@@ -216,8 +216,8 @@ class _List:
         axes = [c for c in self.numbers.values() if c.role in PLACE]
         largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
         declared = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
-        surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
-        chosen = declared or ("m" if surveyed or largest < LARGEST_M else "mm")
+        surveyed = largest >= MIN_GRID_COORDINATE or any(words_of(c.title)[0] in GEODETIC_TITLES for c in axes)
+        chosen = declared or ("m" if surveyed or largest < MAX_METRES else "mm")
         notes = [] if declared else [f"coordinates are interpreted as {chosen} (the largest is {largest:.6g})"]
         scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
@@ -286,7 +286,7 @@ def read_coordinates(path: Path) -> Coordinates:
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{shown(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < DEFINITE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE * len(sigma):
         raise RecordError(
             "has a covariance that is negative in some direction: some of its entries are wrong", file=path
         )
@@ -374,7 +374,7 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
         raise RecordError("holds rows of another length than its header", file=path)
     matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     size = np.sqrt(np.abs(np.diag(matrix)))
-    if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
+    if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)
     at = [names.index(name) for name in wanted]
     return 0.5 * (matrix + matrix.T)[np.ix_(at, at)]

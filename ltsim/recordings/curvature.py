@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.units import EARTH, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
-NOTICEABLE = 0.1
+MIN_CURVATURE = 0.1
 """Angle of the earth's curvature over a line of sight, in sigma of its elevation, from which it is modelled."""
 
 REFRACTION = 0.13, 0.1
@@ -18,7 +18,7 @@ def on_round_earth(recording: Recording) -> Recording:
     """Recording with position-dependent verticals (`curved`) and refraction, unless its set-up declares them itself.
 
     Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
-    `NOTICEABLE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
+    `MIN_CURVATURE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
     """
     setup = recording.setup
     levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
@@ -26,7 +26,7 @@ def on_round_earth(recording: Recording) -> Recording:
         return recording
     length = np.where(levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
     angle = float(np.nanmax(length / (2.0 * EARTH) / recording.sigma()[:, 2], initial=0.0))
-    if not angle > NOTICEABLE:
+    if not angle > MIN_CURVATURE:
         return recording
     changes: dict[str, object] = {"curved": True}
     longest = float(np.nanmax(length))
@@ -35,7 +35,7 @@ def on_round_earth(recording: Recording) -> Recording:
         f"levelled set-ups stand on a round earth: over the longest sight, {longest:.4g} m, a level surface leaves the "
         f"plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
     )
-    if setup.refraction is None and sum(REFRACTION) * angle > NOTICEABLE:
+    if setup.refraction is None and sum(REFRACTION) * angle > MIN_CURVATURE:
         changes["refraction"] = REFRACTION
         note += (
             f"; the coefficient of refraction is estimated from {REFRACTION[0]:g} +- {REFRACTION[1]:g}, which "

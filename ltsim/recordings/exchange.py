@@ -9,8 +9,8 @@ from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name
 from ltsim.recordings import coordinates, native
-from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace, vertical_pointings
-from ltsim.recordings.files import decoded, universal
+from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace_question, vertical_pointings
+from ltsim.recordings.files import decoded, unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import sentence
@@ -20,7 +20,7 @@ from ltsim.recordings.tables import reader as tables
 RecordingSource = Recording | str | Path
 """Recording, or the file or folder that contains one."""
 HEAD = 16_384
-LEAST_POSES = 2
+MIN_POSES = 2
 """Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
@@ -58,7 +58,7 @@ def _refuse_points(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, strict=False)
     count = len(listed.names)
     message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    if listed.contradictory >= max(count, LEAST_POSES):
+    if listed.contradictory >= max(count, MIN_POSES):
         names = "one name" if count == 1 else f"{count} names"
         rows = f"{count + listed.contradictory} positions under {names} ('{listed.names[0]}')"
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
@@ -105,7 +105,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         recording = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    notes = *recording.notes, *contradictions(recording), *pace(recording), *vertical_pointings(recording)
+    notes = *recording.notes, *contradictions(recording), *pace_question(recording), *vertical_pointings(recording)
     return recording.replace(notes=notes)
 
 
@@ -135,7 +135,7 @@ def recognised(path: Path) -> Format:
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                head = universal(decoded(stream.read(HEAD)))
+                head = unix_line_ends(decoded(stream.read(HEAD)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
     fitting = [f for f in FORMATS if f.recognises(path, head)]

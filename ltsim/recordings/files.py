@@ -12,7 +12,7 @@ from ltsim.core.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
 from ltsim.core.storage import write_files
 
 MAX_NAME = 100
-LONGEST_NUMBER = 40
+MAX_NUMBER_LENGTH = 40
 MAX_TEXT, TITLE = 500, 120
 UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
 _OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
@@ -82,7 +82,7 @@ def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
 
     Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
     """
-    text = universal(read_text(path, liberal=liberal))
+    text = unix_line_ends(read_text(path, liberal=liberal))
     if text.count("\n") > LINES:
         raise RecordError(f"has more than {LINES} lines, the most that is read", file=path)
     lines = text.split("\n")
@@ -92,14 +92,14 @@ def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     return lines
 
 
-def universal(text: str) -> str:
+def unix_line_ends(text: str) -> str:
     """Text with all line breaks converted to those of Unix."""
     return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
 
 
 def is_number(text: str) -> bool:
     """True if `text` is a decimal number in plain ASCII."""
-    return len(text) <= LONGEST_NUMBER and NUMBER.fullmatch(text) is not None
+    return len(text) <= MAX_NUMBER_LENGTH and NUMBER.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:

@@ -17,7 +17,7 @@ from ltsim.core.results import guarded, plain
 from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
-    LONGEST_NUMBER,
+    MAX_NUMBER_LENGTH,
     NUMBER,
     SourceLocation,
     is_not_finite,
@@ -39,7 +39,7 @@ from ltsim.recordings.references import ReferenceLengths, check_differences
 from ltsim.recordings.reflectors import excess_radii, smrs_of
 from ltsim.recordings.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import overruled
+from ltsim.recordings.specification import deviating_keys
 from ltsim.recordings.tables.sheets import Row, is_folder
 from ltsim.recordings.transcription_errors import check_degrees
 
@@ -188,7 +188,7 @@ def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) 
     values = np.full(len(column), np.nan)
     filled = [i for i, text in enumerate(column) if text or not optional]
     texts = [column[i] for i in filled]
-    if max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, texts)):
+    if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER.fullmatch, texts)):
         values[filled] = list(map(float, texts))
         if np.all((values[filled] >= low) & (values[filled] <= high)):
             return values
@@ -269,7 +269,7 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"targets.{name} is of the datum, but left out: it was never measured{_near(name, recording.targets)}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
-        if keys := overruled(entry):
+        if keys := deviating_keys(entry):
             notes.append(
                 f"{place}: {', '.join(keys)} stand above those of the data sheet {entry.sheet}, which is not used there"
             )

@@ -36,7 +36,7 @@ MODE_COLUMN = "distance_mode"
 REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
-LEAST_COSINE = 1e-6
+MIN_COSINE = 1e-6
 STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
 axis).
@@ -56,7 +56,7 @@ def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevat
     rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
     constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
-    across = np.maximum(np.abs(np.cos(elevation)), LEAST_COSINE)
+    across = np.maximum(np.abs(np.cos(elevation)), MIN_COSINE)
     return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
 
 

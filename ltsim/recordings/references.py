@@ -15,7 +15,7 @@ from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric
 
-COEFFICIENT = "expansion of "
+EXPANSION_ERROR = "expansion of "
 """Prefix of the name of the expansion error that lengths of one material share."""
 SCALE = "scale of all lengths"
 UNKNOWN_PPM = 1000.0
@@ -67,7 +67,7 @@ class ReferenceLengths:
         )
 
     @property
-    def tell_scale(self) -> bool:
+    def determine_scale(self) -> bool:
         """True if the lengths constrain their common scale."""
         return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
 
@@ -95,7 +95,7 @@ def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> 
     grown = Expansion.of(
         material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
-    both = {f"{COEFFICIENT}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
+    both = {f"{EXPANSION_ERROR}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
     return grown.factor, {name: change for name, change in both.items() if change}
 
 
@@ -113,7 +113,7 @@ def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[s
     return float(np.nanmean(values))
 
 
-MUCH_BETTER = 0.1
+MAX_SIGMA_RATIO = 0.1
 """Largest ratio of the sigma of an unmeasured mark to that of a difference to it at which the mark counts as exact."""
 
 
@@ -143,7 +143,7 @@ def check_differences(recording: Recording, file: object) -> None:
 def _is_exact(target: Target, difference: ReferenceDifference) -> bool:
     axes = ["xyz".index(axis) for axis in difference.known_axes]
     is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
-    return is_control and bool(_sigmas(target)[axes].max() <= MUCH_BETTER * _sigmas(difference)[axes].min())
+    return is_control and bool(_sigmas(target)[axes].max() <= MAX_SIGMA_RATIO * _sigmas(difference)[axes].min())
 
 
 def _sigmas(reference: Target | ReferenceDifference) -> Floats:

@@ -35,9 +35,9 @@ from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.files import read_bytes, read_text, shown, write_texts
 from ltsim.recordings.recording import Recording
 
-STEP = 1e-6
+DIGEST_STEP = 1e-6
 """Rounding step [m, rad] of readings in a digest, so that writing and reading a recording does not change it."""
-OFFSET = 1.0 / np.pi
+DIGEST_OFFSET = 1.0 / np.pi
 """Offset of the rounding in steps, so that decimal readings are not on its limits."""
 
 
@@ -172,7 +172,7 @@ def _digest(content: bytes) -> str:
 def digest_of(recording: Recording) -> str:
     """Digest of stations, targets and faces, and of the readings rounded to a micrometre and a microradian."""
     readings = recording.readings
-    steps = np.floor(np.nan_to_num(readings) / STEP + OFFSET).astype("<i8")
+    steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
     whole = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
     names = [
         f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"

@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from ltsim.core.errors import ModelError, RecordError, as_setup_error
 from ltsim.core.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
-from ltsim.recordings.files import SourceLocation, read_text, shown, universal
+from ltsim.recordings.files import SourceLocation, read_text, shown, unix_line_ends
 from ltsim.recordings.setup import Instrument, Setup
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -34,7 +34,7 @@ def read_setup(path: Path) -> Setup:
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
-    text = universal(read_text(path, most=TOML_BYTES))
+    text = unix_line_ends(read_text(path, most=TOML_BYTES))
     if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be cut there; end the line if it is whole"
         raise RecordError(message, file=path)

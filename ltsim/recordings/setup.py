@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from ltsim.recordings.air import Air
 from ltsim.recordings.keys import (
     EXACT_LEVEL_ARCSEC as EXACT_LEVEL_ARCSEC,
-    LEAST_SIGMA as LEAST_SIGMA,
+    MIN_SIGMA as MIN_SIGMA,
     Axes as Axes,
     Covariance as Covariance,
     Date as Date,
@@ -30,7 +30,7 @@ from ltsim.recordings.keys import (
     symmetric as symmetric,
 )  # fmt: skip
 
-FEWEST_ANGLES = 3
+MIN_ANGLES = 3
 """Smallest number of angles of a bench test: normal incidence and one on each side."""
 
 
@@ -50,7 +50,7 @@ class Noise(TomlSection):
 
     @model_validator(mode="after")
     def _positive_range_noise(self) -> Noise:
-        if max(self.distance_mm, self.distance_ppm) < LEAST_SIGMA:
+        if max(self.distance_mm, self.distance_ppm) < MIN_SIGMA:
             raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
         return self
 
@@ -296,11 +296,11 @@ class BenchTest(TomlSection):
     @model_validator(mode="after")
     def _whole(self) -> BenchTest:
         counts = len(self.angle_deg), len(self.error_um), len(self.sigma_um)
-        if len(set(counts)) > 1 or counts[0] < FEWEST_ANGLES:
+        if len(set(counts)) > 1 or counts[0] < MIN_ANGLES:
             angles, errors, sigmas = counts
             raise ValueError(
                 f"it has {angles} angles, {errors} errors and {sigmas} sigmas, expected as many of each, "
-                f"{FEWEST_ANGLES} or more"
+                f"{MIN_ANGLES} or more"
             )
         return self
 

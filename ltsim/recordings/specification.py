@@ -21,9 +21,9 @@ TWO_FACES = 2.0
 """Ratio of the limit of a two-face difference to that of a point perpendicular to the beam (ISO 10360-10:2021, 6.3 and
 annex D).
 """
-LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
+REQUIRED_LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
 """Keys of a specification that must be given, because tests have no limit without them."""
-RANGES = ("distance_", "range_")
+RANGE_PREFIXES = ("distance_", "range_")
 """Prefixes of the keys of noise and prior that follow from the limit of range errors."""
 
 TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
@@ -152,13 +152,13 @@ def figures(name: str) -> dict[str, Any]:
     return dict(_sheets()[name])
 
 
-def completed(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
+def completed_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
     """Keys of a specification: a built-in data sheet, with the values declared by the user in place of its own.
 
     Raises ModelError when there is no such sheet, or a limit is in neither.
     """
     keys = figures(name)
-    missing = [key for key in LIMITS if key not in keys and key not in declared]
+    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared]
     if missing:
         raise ModelError(
             f"the data sheet {name} does not give {' and '.join(missing)}; set it in the table [specification]"
@@ -170,7 +170,7 @@ def completed(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
 
 def sheet(name: str) -> Specification:
     """Complete limits of a built-in data sheet; raises ModelError if it does not give all of them."""
-    return Specification.model_validate(completed(name, {}))
+    return Specification.model_validate(completed_figures(name, {}))
 
 
 def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
@@ -182,14 +182,16 @@ def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str]
     Raises ModelError when there is no such sheet, or a value is neither in it nor in `given`.
     """
     published = figures(name)
-    whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **published}).instrument()
+    whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).instrument()
     exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
-    if any(key not in published for key in LIMITS):
+    if any(key not in published for key in REQUIRED_LIMITS):
         declared = {
             f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]
         }
-        ranges = [f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGES)]
+        ranges = [
+            f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_PREFIXES)
+        ]
         missing = [key for key in ranges if key not in declared]
         if missing:
             raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
@@ -202,12 +204,12 @@ def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str]
     return tables
 
 
-def overruled(instrument: Instrument) -> list[str]:
+def deviating_keys(instrument: Instrument) -> list[str]:
     """Keys of noise and prior in which an instrument deviates from its data sheet."""
     if instrument.sheet is None:
         return []
     specified: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
-    skipped = () if all(key in figures(instrument.sheet) for key in LIMITS) else RANGES
+    skipped = () if all(key in figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
     return [
         f"{table}.{key}"
         for table, values in tables_from_sheet(instrument.sheet, specified).items()

@@ -10,7 +10,7 @@ from ltsim.core.units import DEGREE
 from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
 def summary(recording: Recording) -> dict[str, str]:
@@ -34,7 +34,7 @@ def _set_ups(recording: Recording) -> str:
     over = f" over {len(marks)} marks" if marks else ""
     level = sum(s.levelled for s in setups.values())
     levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
-    return f"{len(setups)}{over} ({listing(list(setups), MOST_NAMED)}){levelled}"
+    return f"{len(setups)}{over} ({listing(list(setups), MAX_NAMED)}){levelled}"
 
 
 def _pointings(recording: Recording) -> str:
@@ -94,7 +94,7 @@ def _noise(recording: Recording) -> str:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
     shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
     by_row = ["stated by row"] if shares else []
-    return "; ".join([*by_row, *words][:MOST_NAMED])
+    return "; ".join([*by_row, *words][:MAX_NAMED])
 
 
 def noise_words(noise: Noise) -> str:

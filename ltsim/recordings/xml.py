@@ -20,28 +20,28 @@ from ltsim.recordings.files import SourceLocation, read_bytes, shown
 
 _LONG_TAG = re.compile(rb"<[^<]{4096,}+")
 """Pattern of a tag longer than 4096 characters, which may contain too many attributes."""
-LINE = "{ltsim}line"
+LINE_ATTRIBUTE = "{ltsim}line"
 """Attribute with the line number of an element; a file cannot set it, because it is overwritten."""
 
 
-class _Numbered(TreeBuilder):
+class _NumberedBuilder(TreeBuilder):
     """Tree builder whose elements have the line where they begin; it raises RecordError beyond the permitted depth."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
         self.parser: Any = None
-        self._depth = _Depth(file)
+        self._depth = _DepthCheck(file)
 
     def start(self, tag: Any, attrs: Any, /) -> Element:
         self._depth.start(tag, attrs)
-        return super().start(tag, {**attrs, LINE: str(self.parser.parser.CurrentLineNumber)})
+        return super().start(tag, {**attrs, LINE_ATTRIBUTE: str(self.parser.parser.CurrentLineNumber)})
 
     def end(self, tag: Any, /) -> Element:
         self._depth.end(tag)
         return super().end(tag)
 
 
-class _Depth:
+class _DepthCheck:
     """Parser target that builds no tree; it raises RecordError for elements beyond the permitted depth."""
 
     def __init__(self, file: Path) -> None:
@@ -76,7 +76,7 @@ def check_part(content: bytes, file: Path) -> None:
     if b"\x00" in content:
         raise RecordError("holds a part that is not UTF-8", file=file)
     check_tags(content, file)
-    parser = DefusedXMLParser(target=_Depth(file))
+    parser = DefusedXMLParser(target=_DepthCheck(file))
     parser.feed(content)
     parser.close()
 
@@ -92,7 +92,7 @@ def parse(path: Path) -> Node:
         raise RecordError(f"holds more than {most}, the most that is read", file=path)
     check_tags(content, path)
     try:
-        builder = _Numbered(path)
+        builder = _NumberedBuilder(path)
         builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
         parser.feed(content)
         root = parser.close()
@@ -131,7 +131,7 @@ class Node:
     @property
     def line(self) -> int:
         """Line of the file where the element begins."""
-        return int(self.element.get(LINE, "0"))
+        return int(self.element.get(LINE_ATTRIBUTE, "0"))
 
     @property
     def where(self) -> SourceLocation:

@@ -18,12 +18,12 @@ from ltsim.recordings.native import OBSERVATIONS, SETUP
 from ltsim.recordings.result_file import digest_of, read_json
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
-from ltsim.reports.document import POLICY, Detail, Document, ReportContext, Section
+from ltsim.reports.document import CONTENT_SECURITY_POLICY, Detail, Document, ReportContext, Section
 from ltsim.reports.sections import WRITERS, content_of, section_of
 from ltsim.reports.sections.network import TRUTH, recording_section
 from ltsim.reports.words import natural, typeset
 
-MOST_ACTIONS = 3
+MAX_ACTIONS = 3
 """Largest number of next actions at the head of a page."""
 
 
@@ -116,7 +116,7 @@ def _actions(sections: list[Section]) -> list[str]:
     """Next actions of the section that heads the page, else of the first one with the same verdict."""
     first = sections[0]
     chosen = next((s for s in sections if s.actions and s.mood == first.mood), first)
-    return list(dict.fromkeys(first.actions or chosen.actions))[:MOST_ACTIONS]
+    return list(dict.fromkeys(first.actions or chosen.actions))[:MAX_ACTIONS]
 
 
 def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
@@ -201,7 +201,7 @@ def render(content: Document) -> str:
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
     assets = {"style": Markup(palette + style), "script": Markup(script)}
-    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **assets)
+    return environment.get_template("page.html.j2").render(document=content, policy=CONTENT_SECURITY_POLICY, **assets)
 
 
 def versions() -> list[tuple[str, str]]:

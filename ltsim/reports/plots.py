@@ -44,7 +44,7 @@ from ltsim.reports.workshop import from_recording, from_scenario
 from ltsim.simulation.inject import InjectionCurve
 from ltsim.simulation.scenario import Scenario
 
-MOST_PROPOSALS = 12
+MAX_PROPOSALS = 12
 
 
 @singledispatch
@@ -148,7 +148,7 @@ def _(result: Recovery) -> Figure:
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
+    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MAX_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 

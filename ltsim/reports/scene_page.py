@@ -16,7 +16,7 @@ from trame_vtk.tools.vtksz2html import write_html
 
 from ltsim.core.notation import number
 from ltsim.reports import scene3d
-from ltsim.reports.document import POLICY
+from ltsim.reports.document import CONTENT_SECURITY_POLICY
 from ltsim.reports.words import typeset
 from ltsim.reports.workshop import PlacedWorkshop
 
@@ -36,7 +36,8 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
   font-size: 11px; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
-HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta name="generator" content="ltsim">'
+HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
+HEAD += '<meta name="generator" content="ltsim">'
 
 
 FINEST = 40_000

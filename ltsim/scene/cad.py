@@ -22,28 +22,28 @@ from ltsim.scene.cad_process import EXACT, FACETS, triangles_in
 GLTF = (".glb", ".gltf")
 SUFFIXES = (*FACETS, *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
-STEP = 1.0
+MAX_SPACING_MM = 1.0
 """Spacing [mm] of single-precision numbers at the position of a body above which a file is refused: halls are planned
 to the millimetre, and lines of sight pass bodies at a few centimetres.
 """
-SINGLE = (".stl", *GLTF)
+SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF)
 """Suffixes of files whose coordinates may be in single precision."""
-SMALL = FACTOR["mm"] / FACTOR["in"]
+MIN_RELATIVE_LENGTH = FACTOR["mm"] / FACTOR["in"]
 """Length of a body as a fraction of the room's length below which its numbers may be inches."""
-BEYOND = 0.05
+MAX_OVERHANG = 0.05
 """Distance [m] by which a body may extend beyond the room or below its floor."""
-PER_METRE = 1e5
+GRID_POINTS_PER_METRE = 1e5
 """Grid points per metre for the corners of triangles (10 um); single precision, as in STL and glTF, resolves no more
 over 40 m.
 """
-BLOCK = 1 << 16
+TRIANGLES_PER_BATCH = 1 << 16
 """Number of triangles that are rounded to the grid together, which bounds the memory of intermediate results."""
-UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation matrix from y up to z up: x stays, y becomes z, z becomes -y."""
 
 
 @dataclass(frozen=True)
-class Cad:
+class CadFile:
     """Contents of a CAD file, with the unit and vertical axis used to read it."""
 
     file: Path
@@ -66,10 +66,10 @@ class Cad:
     @property
     def turned(self) -> Floats:
         """Triangles (m, 3, 3) for the other vertical axis (y and z exchanged)."""
-        return self.triangles @ (UPRIGHT if self.up == "y" else UPRIGHT.T)
+        return self.triangles @ (Y_UP_TO_Z_UP if self.up == "y" else Y_UP_TO_Z_UP.T)
 
 
-def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:
+def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> CadFile:
     """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) replace the convention of its format.
 
     Raises SetupError.
@@ -88,22 +88,22 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
         triangles = _triangles(path, status.st_mtime_ns, FACTOR[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    return Cad(path, triangles, file_unit, turned, suffix in EXACT or unit is not None)
+    return CadFile(path, triangles, file_unit, turned, suffix in EXACT or unit is not None)
 
 
 @lru_cache(maxsize=8)
 def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
-    triangles = _as_written(path, factor)
-    parts = range(0, len(triangles), BLOCK)
-    corners = np.concatenate([_on_grid(factor * triangles[start : start + BLOCK], up) for start in parts])
+    triangles = _in_file_units(path, factor)
+    parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
+    corners = np.concatenate([_on_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up) for start in parts])
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
         raise SetupError(
-            f"{path}: has no triangle larger than {1e6 / PER_METRE:g} um if a unit of it is {factor:g} m; state its "
-            "unit, or export it anew"
+            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is {factor:g} m; "
+            "state its unit, or export it anew"
         )
-    settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / PER_METRE
+    settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
     settled.flags.writeable = False
     return settled
 
@@ -113,14 +113,16 @@ def _on_grid(triangles: Floats, up: str) -> Ints:
 
     Each triangle starts with its first corner.
     """
-    corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
+    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up == "y" else triangles)).astype(
+        np.int64
+    )
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
     whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
     return corners[whole].reshape(-1, 9)
 
 
-def _as_written(path: Path, factor: float) -> Floats:
+def _in_file_units(path: Path, factor: float) -> Floats:
     """Triangles (m, 3, 3) in the unit (`factor` metres) and axes of the file.
 
     Those of a CAD model with exact surfaces in metres.
@@ -142,12 +144,12 @@ def _as_written(path: Path, factor: float) -> Floats:
 
 
 def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
-    """Check that single precision rounds coordinates (unit `factor` metres) by less than `STEP`; raises SetupError."""
+    """Check that rounding of coordinates (unit `factor` metres) is below `MAX_SPACING_MM`; raises SetupError."""
     single = triangles.astype(np.float32)
-    if path.suffix.lower() not in SINGLE or not np.array_equal(single, triangles):
+    if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
         return
     step = float(np.spacing(np.abs(single).max())) * factor / FACTOR["mm"]
-    if step > STEP:
+    if step > MAX_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
             f"steps of {step:.4g} mm; export it with its origin near the body, or as OBJ"
@@ -161,9 +163,9 @@ def extent(triangles: Floats) -> str:
     return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
 
 
-def size_question(cad: Cad, room: Floats) -> str:
+def size_question(cad: CadFile, room: Floats) -> str:
     """Question to the user about the size of a body in a room (3,) [m]; empty for a plausible size."""
-    length, least, most = np.ptp(cad.triangles, axis=(0, 1)), SMALL * room.max(), 1.5 * room.max()
+    length, least, most = np.ptp(cad.triangles, axis=(0, 1)), MIN_RELATIVE_LENGTH * room.max(), 1.5 * room.max()
     if cad.sure or least <= length.max() <= most:
         return ""
     others = {unit: length.max() * FACTOR[unit] / FACTOR[cad.unit] for unit in WORDS if unit != cad.unit}
@@ -178,4 +180,4 @@ def size_question(cad: Cad, room: Floats) -> str:
 def inside(triangles: Floats, room: Floats) -> bool:
     """True if triangles (m, 3, 3) [m] lie within a room (3,) [m] that has a corner at the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    return bool(np.all(low >= -BEYOND) and np.all(high <= room + BEYOND))
+    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= room + MAX_OVERHANG))

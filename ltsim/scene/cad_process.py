@@ -23,7 +23,7 @@ from ltsim.recordings.files import shown
 
 EXACT = (".step", ".stp", ".iges", ".igs")
 FACETS = (".stl", ".obj", ".ply")
-DEVIATION = 1.0
+MAX_DEVIATION_MM = 1.0
 """Largest distance [mm] of a triangle from the exact surface, sufficient for lines of sight."""
 _START = "from ltsim.scene.cad_process import main; main()"
 _REFUSED = 3
@@ -41,11 +41,11 @@ def triangles_in(path: Path) -> Floats:
         _check_count(path, facets_of_stl(content))
     if suffix == ".stl" or (suffix in FACETS and len(content) <= SMALL_CAD_BYTES):
         try:
-            triangles = loaded(content, suffix)
+            triangles = triangles_of(content, suffix)
         except Exception as problem:  # readers of all these formats raise whatever they meet
             raise _not_whole(path, type(problem).__name__) from None
     else:
-        triangles = _elsewhere(path, len(content))
+        triangles = _read_in_process(path, len(content))
     _check_count(path, len(triangles))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
@@ -71,7 +71,7 @@ def _not_whole(path: Path, reason: str) -> SetupError:
     return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({shown(reason)})")
 
 
-def _elsewhere(path: Path, size: int) -> Floats:
+def _read_in_process(path: Path, size: int) -> Floats:
     """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
     share = max(1.0, size / FILE_BYTES)
     limits = [str(int(share * CAD_MEMORY)), str(int(share * CAD_SECONDS))]
@@ -97,8 +97,8 @@ def main() -> None:
     path, memory, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     limit_to(memory, seconds)
     try:
-        with path.open("rb") as stream, silenced():
-            triangles = loaded(stream.read(), path.suffix.lower())
+        with path.open("rb") as stream, without_library_output():
+            triangles = triangles_of(stream.read(), path.suffix.lower())
         if len(triangles) > TRIANGLES:
             raise MemoryError
     except Exception as problem:  # whatever the libraries raise
@@ -121,7 +121,7 @@ def limit_to(memory: int, seconds: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (reserved + memory, reserved + memory))
 
 
-def loaded(content: bytes, suffix: str) -> Floats:
+def triangles_of(content: bytes, suffix: str) -> Floats:
     """Triangles (m, 3, 3) of a file's content, by its suffix; errors of the libraries are passed on."""
     import trimesh  # a third of a second that few need
 
@@ -129,7 +129,7 @@ def loaded(content: bytes, suffix: str) -> Floats:
         import cascadio
 
         kind = cascadio.FileType.STEP if suffix in EXACT[:2] else cascadio.FileType.IGES
-        content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=DEVIATION), ".glb"
+        content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=MAX_DEVIATION_MM), ".glb"
     mesh: Any = trimesh.load(
         BytesIO(content),
         file_type=suffix[1:],
@@ -141,7 +141,7 @@ def loaded(content: bytes, suffix: str) -> Floats:
 
 
 @contextmanager
-def silenced() -> Iterator[None]:
+def without_library_output() -> Iterator[None]:
     """Context in which the output of libraries below Python is discarded."""
     before = [os.dup(1), os.dup(2)]
     with tempfile.TemporaryFile() as nowhere:

@@ -21,9 +21,9 @@ Corners = Annotated[tuple[Corner, ...], Field(min_length=3, max_length=500)]
 Heights = tuple[Positive, Positive]
 HEAD_ROOM = 0.3
 """Free height [m] above the centre of an instrument's head."""
-PLACES = 250
+DEFAULT_PLACES = 250
 """Number of grid positions that cover the floor if no step is given; stations are refined off the grid afterwards."""
-EDGE = 1e-9
+EDGE_TOLERANCE = 1e-9
 """Distance [m] within which a position counts as on an edge."""
 
 
@@ -94,7 +94,7 @@ class Floor(TomlSection):
         return self
 
 
-def ground_of(
+def areas_and_keep_outs(
     floor: Floor, size_mm: tuple[float, float, float], heights: tuple[float, float]
 ) -> tuple[tuple[Area, ...], tuple[KeepOut, ...]]:
     """Areas where tripods may stand, and the keep-out areas in them [m].
@@ -142,7 +142,7 @@ def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, flo
     Raises SetupError if it crosses itself or leaves the room (if a size is given).
     """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
-    problem = fault(outline)
+    problem = outline_error(outline)
     if problem:
         raise SetupError(f"{key} is no outline: {problem}")
     if size_mm is not None:
@@ -170,7 +170,11 @@ class Area:
     def holds(self, position: Floats) -> Bools:
         """Flags (N,) of the instrument positions (N, 3) [m] that lie in this area and its height limits."""
         low, high = self.heights
-        return np.asarray(self.covers(position[:, :2]) & (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE))
+        return np.asarray(
+            self.covers(position[:, :2])
+            & (position[:, 2] > low - EDGE_TOLERANCE)
+            & (position[:, 2] < high + EDGE_TOLERANCE)
+        )
 
     def covers(self, places: Floats) -> Bools:
         """Flags (N,) of the places (N, 2) [m] that lie in the area and outside its openings."""
@@ -189,7 +193,7 @@ class KeepOut:
 
     def holds(self, places: Floats) -> Bools:
         """Flags (N,) of the places (N, 2) that lie in this keep-out area."""
-        near = distance(self.outline, places) < self.clear + EDGE
+        near = distance(self.outline, places) < self.clear + EDGE_TOLERANCE
         return near | inside(self.outline, places) if len(self.outline) > 2 else near
 
 
@@ -201,37 +205,37 @@ def distance(outline: Floats, places: Floats) -> Floats:
 
 def inside(outline: Floats, places: Floats) -> Bools:
     """Flags (N,) of the places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
-    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE)
+    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE_TOLERANCE)
 
 
-def fault(outline: Floats) -> str:
+def outline_error(outline: Floats) -> str:
     """Reason why corners (k, 2) do not form an outline, as text.
 
     It is empty for an outline that does not cross itself and has an area.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
-    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE)
+    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
     if len(same):
         return f"its corner {same[0] + 1} stands where the one before it stands"
     sides = shapely.linestrings(np.stack([outline, then], axis=1))
-    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE), 2))
+    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
         if (i, j) != (0, count - 1):  # which have a corner in common
             return (
                 f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
             )
-    return "" if shapely.area(shapely.polygons(outline)) > EDGE else "its corners lie in a line"
+    return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie in a line"
 
 
 def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
     """Step [m] of a grid of places.
 
-    By default `PLACES` places cover the areas, at least half a metre from each other.
+    By default `DEFAULT_PLACES` places cover the areas, at least half a metre from each other.
     """
     if grid_mm is not None:
         return grid_mm * MILLIMETRE
     size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
-    return max(round(float(np.sqrt(size / PLACES)), 1), 0.5)
+    return max(round(float(np.sqrt(size / DEFAULT_PLACES)), 1), 0.5)
 
 
 def may_stand(
@@ -248,7 +252,7 @@ def may_stand(
     return good
 
 
-def objection(
+def reason_against(
     areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
 ) -> str:
     """Reason why no tripod may stand under an instrument position (3,) [m], with the key of the plan file.
@@ -269,11 +273,11 @@ def objection(
     return "inside an obstacle (workshop.obstacles)"
 
 
-def over(area: Area, step: float, heights: int) -> Floats:
+def grid_over(area: Area, step: float, heights: int) -> Floats:
     """Grid (N, 3) [m] over the bounding rectangle of an area, at each of its heights."""
     low, high = area.outline.min(axis=0), area.outline.max(axis=0)
     count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
     bottom, top = area.heights
-    levels = np.linspace(bottom, top, heights if top - bottom > EDGE else 1)
+    levels = np.linspace(bottom, top, heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

@@ -24,21 +24,21 @@ SHAPES = {
     "y": "slab across y",
 }
 """Names of the shapes by the axes in which they are bounded."""
-LEAST_STEP, MOST_STEPS = 0.5, 10
+MIN_STEP, MAX_STEPS = 0.5, 10
 """Smallest distance [m] between the centres that are tried, and largest number of centres along an axis (both limit the
 cost).
 """
-LEAST_PASSING, MOST_PASSING = 6, 0.8
+MIN_PASSING, MAX_PASSING = 6, 0.8
 """Smallest number, and largest fraction, of the lines of sight that pass a region that is tried: fewer lines indicate
 an error of single readings, almost all of them an error of the whole recording.
 """
-LEAST_TARGETS = 2
+MIN_TARGETS = 2
 """Smallest number of targets behind a region: an error on the lines to one target alone is an error of that target."""
-MOVES, FACTORS = (0.5, 0.15), (0.7, 1.4)
+CENTRE_STEPS, WIDTH_FACTORS = (0.5, 0.15), (0.7, 1.4)
 """Steps of a centre, in widths, and factors of the width in the refinement of a region."""
-AT_ONCE = 300_000
+BATCH_SIZE = 300_000
 """Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""
-PARALLEL = 1e-9
+PARALLEL_SINE_SQUARED = 1e-9
 """Squared sine of the angle between line and region axis below which the line counts as parallel and stays in the
 region.
 """
@@ -110,11 +110,11 @@ class Region:
 
     def neighbours(self) -> Iterator["Region"]:
         """Regions in the neighbourhood of this one: centre moved along each axis, width changed."""
-        for i, move, sign in product(range(len(self.axes)), MOVES, (1.0, -1.0)):
+        for i, move, sign in product(range(len(self.axes)), CENTRE_STEPS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
             yield replace(self, centre=tuple(centre))
-        for factor in FACTORS:
+        for factor in WIDTH_FACTORS:
             yield replace(self, width=round(self.width * factor, 6))
 
 
@@ -150,7 +150,7 @@ def _lines(sightings: Sightings, axes: str, centres: Floats) -> tuple[Floats, Fl
     beam = sightings.unit_vectors[0][:, at]
     a = np.einsum("ni,ni->n", beam, beam)
     start = sightings.position[sightings.station][:, at] - centres[:, None]
-    return beam, sightings.range_, start, a, a > PARALLEL
+    return beam, sightings.range_, start, a, a > PARALLEL_SINE_SQUARED
 
 
 def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
@@ -188,11 +188,11 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
 def _regions(sightings: Sightings, axes: str) -> list[Region]:
     """Regions of one shape on a grid over the hall."""
     low, high = extent(sightings)
-    step = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
+    step = max(MIN_STEP, float((high - low).max()) / MAX_STEPS)
     width, regions = round(0.5 * step, 6), list[Region]()
     grids = [np.arange(low[i] + 0.5 * step, high[i], step).round(6).tolist() for i in map("xyz".index, axes)]
     centres = np.array(list(product(*grids))).reshape(-1, len(axes))
-    for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
+    for part in np.array_split(centres, 1 + len(centres) * len(sightings) // BATCH_SIZE):
         inside = paths(sightings, axes, part, width)
         chosen = np.flatnonzero(_distinctive(inside > width, sightings))
         beyond = levers(sightings, axes, part[chosen], width, inside[chosen])
@@ -205,9 +205,9 @@ def _regions(sightings: Sightings, axes: str) -> list[Region]:
 def _distinctive(passing: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions that enough lines of sight (r, n) to several targets pass, but not almost all."""
     count = passing.sum(axis=1)
-    enough = (count >= LEAST_PASSING) & (count <= MOST_PASSING * len(sightings))
+    enough = (count >= MIN_PASSING) & (count <= MAX_PASSING * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.points))).astype(np.float32)
     by_target = passing[enough].astype(np.float32) @ of_target
-    enough[enough] = (by_target > 0.0).sum(axis=1) >= LEAST_TARGETS
+    enough[enough] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS
     distinctive: Bools = enough
     return distinctive

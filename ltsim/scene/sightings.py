@@ -12,7 +12,7 @@ from ltsim.geometry.kinematics.chain import point_and_derivatives
 from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
 
-STILL = 1e-4
+MIN_ROTATION = 1e-4
 """Smallest rotation [rad] of an axis that counts as a motion."""
 
 
@@ -212,7 +212,7 @@ class Sightings:
 
         For an axis that does not move it is the sign of its last motion; the sequence restarts at every station.
         """
-        sign = np.where(np.abs(self.move[:, 1:]) < STILL, 0.0, np.sign(self.move[:, 1:]))
+        sign = np.where(np.abs(self.move[:, 1:]) < MIN_ROTATION, 0.0, np.sign(self.move[:, 1:]))
         for row in self.order:
             before = self.previous[row]
             if before >= 0:

@@ -34,7 +34,7 @@ class Reason(IntEnum):
     OBSTACLE = 7
 
 
-WORDS = (
+REASON_TEXTS = (
     "",
     "station inside an obstacle",
     "out of range",
@@ -89,13 +89,13 @@ class Visibility:
 
     def words(self) -> list[list[str]]:
         """Text of the reason for each pair, '' for a visible pair."""
-        return [[self._why(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
+        return [[self._reason_text(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
 
     def kinds(self) -> list[list[str]]:
         """Texts of the reasons, as `words`, but without the numbers of the pair."""
-        return [[WORDS[code] for code in line] for line in self.reason.tolist()]
+        return [[REASON_TEXTS[code] for code in line] for line in self.reason.tolist()]
 
-    def _why(self, station: int, target: int) -> str:
+    def _reason_text(self, station: int, target: int) -> str:
         """Text of the reason of a pair: its value, the limit, and the key that states the limit, if any."""
         code, limits = self.reason[station, target], self.limits[station]
         range_, elevation = self.range_[station, target], self.elevation[station, target] / DEGREE
@@ -113,12 +113,12 @@ class Visibility:
                 f"{elevation:.1f} deg, {limits.elevation_max / DEGREE:.4g} is the most",
             ),
         }.get(code, ("", ""))
-        return f"{WORDS[code]} ({number}: instrument.limits.{key})" if key else WORDS[code]
+        return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]
 
     def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
         """Sentences about the pairs that do not see each other, one per pair."""
         return [
-            f"{stations[s]} does not see {targets[t]}: {self._why(s, t)}"
+            f"{stations[s]} does not see {targets[t]}: {self._reason_text(s, t)}"
             for s, t in np.argwhere(~self.visible).tolist()
         ]
 
@@ -178,7 +178,7 @@ def visibility(
     return Visibility(reason, range_, elevation, incidence, (limits,) * len(position))
 
 
-def in_order(tables: Sequence[Visibility], order: Ints) -> Visibility:
+def joined_tables(tables: Sequence[Visibility], order: Ints) -> Visibility:
     """Joint table of several groups of stations.
 
     `order` gives for each station its row in the joined groups.
@@ -202,7 +202,7 @@ def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, o
     """Marking of the pairs that an obstacle hides; rays are cast only for pairs that no other reason excludes."""
     inside = obstacles.encloses(position)
     pairs = np.argwhere((reason == Reason.VISIBLE) & ~inside[:, None])
-    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], obstacles.over_skin(points)[pairs[:, 1]])]
+    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
     reason[hidden[:, 0], hidden[:, 1]] = Reason.OBSTACLE
     reason[inside] = Reason.STATION_INSIDE
 

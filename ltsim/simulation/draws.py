@@ -25,12 +25,12 @@ from ltsim.scene.sightings import Sightings
 from ltsim.simulation.physics import reflector_error
 from ltsim.simulation.scenario import Scenario
 
-CERTIFIED = 1e-4 * MILLIMETRE
+CERTIFICATE_STEP = 1e-4 * MILLIMETRE
 """Rounding step [m] of the lengths on a certificate."""
 
 
 @dataclass(frozen=True)
-class EffectLaw:
+class EffectDistribution:
     """Effect whose parameters are drawn from N(mean, sigma^2), folded for a parameter that is never negative."""
 
     effect: Effect
@@ -41,13 +41,13 @@ class EffectLaw:
     """Index among identical effects at the same place, from 1."""
 
     @property
-    def upward(self) -> Bools:
+    def is_nonnegative(self) -> Bools:
         """Flags (q,) of the parameters that are never negative, such as added variances."""
         kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
-def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
+def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectDistribution, ...]:
     """Distributions of the effects of a scenario, in the order of its entries.
 
     The incidence error of the reflectors is last.
@@ -62,12 +62,12 @@ def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[Effect
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
         counts[effect.name, effect.place] += 1
-        laws.append(EffectLaw(effect, mean, sigma, counts[effect.name, effect.place]))
+        laws.append(EffectDistribution(effect, mean, sigma, counts[effect.name, effect.place]))
     return tuple(laws)
 
 
 @dataclass(frozen=True)
-class Normal:
+class NormalSource:
     """Source of standard normal numbers (size, B) for trials (B,) of a seed, by stream key."""
 
     seed: int
@@ -77,14 +77,14 @@ class Normal:
         """Standard normal numbers (size, B) of a stream key."""
         return trials_normal(self.seed, self.trials, size, *what)
 
-    def per_trial(self) -> list[Normal]:
+    def per_trial(self) -> list[NormalSource]:
         """Sources of the single trials; shared draws are cached."""
         together = lru_cache(maxsize=None)(self.__call__)
-        return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
+        return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
-class _Column(Normal):
+class _SingleTrialSource(NormalSource):
     """Source of standard normal numbers of one trial in a batch."""
 
     together: Callable[..., Floats] = trials_normal
@@ -127,11 +127,11 @@ class TrialDraws:
     """True reference lengths, with the sigmas of their certificates."""
     names: tuple[str, ...]
     """Names of the targets at the ends of the reference lengths."""
-    effects: tuple[EffectLaw, ...] = ()
+    effects: tuple[EffectDistribution, ...] = ()
     certificate_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
-    def draw(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Draw:
+    def draw(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> Draw:
         """Random values of trials; `values` (I, p, B) [SI] replaces the instrument errors if given.
 
         `stream_key` distinguishes the noise of the same trials at another place.
@@ -147,7 +147,7 @@ class TrialDraws:
         errors = self._values(numbers) if values is None else values
         return Draw(numbers.trials, errors, amounts, white, self._certified(amounts, numbers))
 
-    def _values(self, numbers: Normal) -> Floats:
+    def _values(self, numbers: NormalSource) -> Floats:
         values = np.repeat(self.mean[:, :, None], len(numbers.trials), axis=2)
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
@@ -155,12 +155,12 @@ class TrialDraws:
                 values[i, k] += self.sigma[i, k] * numbers(1, *key, self.construction.names[k])[0]
         return values
 
-    def _amounts(self, law: EffectLaw, numbers: Normal) -> Floats:
+    def _amounts(self, law: EffectDistribution, numbers: NormalSource) -> Floats:
         amounts = np.repeat(law.mean[:, None], len(numbers.trials), axis=1)
         for k in np.flatnonzero(law.sigma):
             key = (law.effect.name, law.effect.place, law.number, law.effect.parameters[k].name)
             drawn = numbers(1, "effect", *key)[0]
-            amounts[k] += law.sigma[k] * (np.abs(drawn) if law.upward[k] else drawn)
+            amounts[k] += law.sigma[k] * (np.abs(drawn) if law.is_nonnegative[k] else drawn)
         return amounts
 
     def noise_sigma(self, amounts: tuple[Floats, ...]) -> Floats:
@@ -183,21 +183,21 @@ class TrialDraws:
             sigma = np.sqrt(variance)
         return sigma
 
-    def _certified(self, amounts: tuple[Floats, ...], numbers: Normal) -> Floats:
+    def _certified(self, amounts: tuple[Floats, ...], numbers: NormalSource) -> Floats:
         """Lengths on the certificates, computed with the true coefficient and temperature and not the declared ones."""
         lengths = self.lengths
         growth = np.repeat(lengths.factor[:, None], len(numbers.trials), axis=1)
         for name, change in lengths.shared.items():
             growth += (change / (lengths.length / lengths.factor))[:, None] * numbers(1, name)
-        length = lengths.length[:, None] + self.longer(amounts)
+        length = lengths.length[:, None] + self.length_change(amounts)
         draws = [
             numbers(1, "cmm", self.names[a], self.names[b]) for a, b in zip(lengths.first, lengths.second, strict=True)
         ]
         white = np.reshape(draws, growth.shape)
         error = self.certificate_factor * lengths.certificate[:, None] * white
-        return CERTIFIED * np.round((length / growth + error) / CERTIFIED)
+        return CERTIFICATE_STEP * np.round((length / growth + error) / CERTIFICATE_STEP)
 
-    def longer(self, amounts: tuple[Floats, ...]) -> Floats:
+    def length_change(self, amounts: tuple[Floats, ...]) -> Floats:
         """Change of the true lengths by effects, (g, B) or (g, 1) [m]."""
         lengths, total = self.lengths, np.zeros((len(self.lengths.length), 1))
         for law, amount in zip(self.effects, amounts, strict=True):

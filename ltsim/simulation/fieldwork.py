@@ -21,7 +21,7 @@ from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import Layout, planned, visibility_of
 
-NOTES = 20
+MAX_LISTED_PAIRS = 20
 """Largest number of hidden pairs that are listed one by one."""
 LEVEL_GAP = 0.5
 """Smallest height difference [m] between two levels."""
@@ -96,7 +96,7 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
 
 def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
     lost = table.lost(layout.stations, layout.targets)
-    if len(lost) <= NOTES:
+    if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
     reasons = Counter(reason for line in table.kinds() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())

@@ -53,7 +53,7 @@ def frame_of(gauge: ScenarioGauge) -> GaugeFrame:
     pairs = list(combinations(range(len(names)), 2))
     lengths = np.array(_lengths(gauge, pairs)) * MILLIMETRE
     first, second = np.array(pairs, dtype=np.int64).T
-    frame = GaugeFrame(names, embedded(len(names), first, second, lengths), first, second)
+    frame = GaugeFrame(names, embedded_points(len(names), first, second, lengths), first, second)
     worst = int(np.argmax(np.abs(frame.length - lengths)))
     if abs(frame.length[worst] - lengths[worst]) > REALISED:
         a, b = names[first[worst]], names[second[worst]]
@@ -83,7 +83,7 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
 
 
-def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
+def embedded_points(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
     """Points (count, 3) [m] about their centre whose distances are, or are nearest to, the given ones.
 
     Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): coordinates are eigenvectors of the doubly

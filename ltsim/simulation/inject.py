@@ -21,11 +21,11 @@ from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.effects.verbs import shape_of
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.simulator import certified_by
+from ltsim.simulation.simulator import with_certificates
 
 FORMAT = "ltsim-injection/1"
 CLOSE, ROUNDS = 1e-4, 60
-LARGEST = 30.0
+MAX_CHANGE_SIGMAS = 30.0
 """Largest change of a reading in standard deviations, divided by the square root of the fraction of the effect that
 remains after adjustment.
 """
@@ -191,7 +191,7 @@ class Injector:
         """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
         if isinstance(cause, Mistake):
             raise ModelError(f"{cause.name} is made or not: it has no size that could be chosen")
-        factor, bound = 1.0, LARGEST * np.sqrt(wanted)
+        factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(wanted)
         for _ in range(ROUNDS):
             noncentrality = self.noncentrality(cause, factor * values)
             if not noncentrality > 0.0 or (
@@ -225,7 +225,7 @@ class Injector:
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
                 raise ModelError(f"{cause.name}: the lengths of scale bars cannot be changed, those of a gauge can")
             certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = certified_by(made, certified + lengths * certified / gauge.length)
+            made = with_certificates(made, certified + lengths * certified / gauge.length)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(

@@ -8,7 +8,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, built_as, misalignment
+from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment
 from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
@@ -18,7 +18,7 @@ from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 def construction_of(scenario: Scenario) -> Construction:
     """Construction of the scenario's trackers, which is the same for all."""
     instrument = next(iter(scenario.trackers.values()))
-    return built_as(instrument.construction, instrument.harmonics, instrument.degree)
+    return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> Construction:

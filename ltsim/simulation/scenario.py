@@ -38,15 +38,15 @@ from ltsim.simulation.sections import (
 FORMAT = "ltsim-scenario/1"
 AIR = "air_temperature_c"
 """Name of the temperature column of a simulated recording."""
-LEAST = 3
+MIN_TARGETS = 3
 """Smallest number of targets, including those of the gauge."""
-MOST_LISTED = 12
+MAX_LISTED = 12
 SPELLED_OUT = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge",
 )  # fmt: skip
 """Keys whose defaults are always written to a scenario's file."""
-NONE = "none"
+REMOVED = "none"
 """Value that removes a key of the scenario: ``gauge = "none"``."""
 
 
@@ -138,7 +138,7 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
         whole = with_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
         scenario = checked(whole, Scenario, "scenario", file)
     _check(scenario, file)
-    return _resolve_paths(_in_use(scenario, file), file)
+    return _resolve_paths(_with_exclusions(scenario, file), file)
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
@@ -153,7 +153,7 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, NONE) for key in brought), *changes.items()]:
+    for key, value in [*((key, REMOVED) for key in brought), *changes.items()]:
         _set(table, key, _as_table(value, effects=key == "effects"), where or str(file))
     return scenario_from(table, file)
 
@@ -174,7 +174,7 @@ def _as_table(value: Any, *, effects: bool) -> Any:
 def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
     """Assignment to one dotted key of nested tables.
 
-    Entries of lists are numbered from 1, and the value `NONE` removes the key.
+    Entries of lists are numbered from 1, and the value `REMOVED` removes the key.
     """
     *parents, last = key.split(".")
     inner: Any = table
@@ -187,7 +187,7 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
             raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
     if not isinstance(inner, dict):
         raise SetupError(f"{where}: {shown(key)} is no key of a table; entries of a list are numbered from 1")
-    if value == NONE:
+    if value == REMOVED:
         inner.pop(last, None)
     else:
         inner[last] = value
@@ -198,7 +198,7 @@ def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
     if data.get("base") is None:
         return data
     below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
-    return {key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != NONE}
+    return {key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != REMOVED}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -213,7 +213,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     return merge_defaults(instrument, below)
 
 
-def _in_use(scenario: Scenario, file: Path) -> Scenario:
+def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
     """Scenario without the stations and reflectors that ``work.stations`` and ``work.targets`` exclude.
 
     Excluded places are removed from effects, and trackers without a station are removed. Raises SetupError if more are
@@ -227,10 +227,10 @@ def _in_use(scenario: Scenario, file: Path) -> Scenario:
                 f"{file}: work.{key} is {wanted}, but the scenario holds {there}: add some, or ask for fewer"
             )
     stations = dict(list(scenario.stations.items())[: work.stations])
-    targets = scenario.targets if work.targets is None else _spread(scenario.targets, work.targets)
+    targets = scenario.targets if work.targets is None else _spread_targets(scenario.targets, work.targets)
     gauge = scenario.gauge.targets if scenario.gauge else ()
-    if len(targets) + len(gauge) < LEAST:
-        least = LEAST - len(gauge)
+    if len(targets) + len(gauge) < MIN_TARGETS:
+        least = MIN_TARGETS - len(gauge)
         raise SetupError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
@@ -256,7 +256,7 @@ def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[st
             yield entry.model_copy(update=here)
 
 
-def _spread(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
+def _spread_targets(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
     """Selection of `count` targets in file order, each as far as possible from the previous ones (Gonzalez 1985)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
     taken = set(spread_order(places)[:count])
@@ -302,10 +302,10 @@ def _check(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {problem}")
 
 
-def _unlisted(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
+def _unknown_name(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
     """Sentence for a name that is not in a list; `none` is the text for an empty list."""
     if name not in existing:
-        listed = ", ".join([*existing][:MOST_LISTED]) + (" ..." if len(existing) > MOST_LISTED else "")
+        listed = ", ".join([*existing][:MAX_LISTED]) + (" ..." if len(existing) > MAX_LISTED else "")
         yield f"{key} names '{shown(name)}', which is not one of {listed or none}"
 
 
@@ -313,8 +313,8 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
-    if len(names) < LEAST:
-        yield f"targets holds {len(names)} reflectors with the gauge's, expected at least {LEAST}"
+    if len(names) < MIN_TARGETS:
+        yield f"targets holds {len(names)} reflectors with the gauge's, expected at least {MIN_TARGETS}"
     for name in names:
         if names.count(name) > 1:
             yield f"gauge.targets names '{shown(name)}' twice, or it is a target of the mesh too"
@@ -330,7 +330,7 @@ def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
     for station, name in used.items():
         if not scenario.instruments:
             yield f"stations.{station}.instrument names '{shown(name)}', which is not declared"
-        yield from _unlisted(f"stations.{station}.instrument", name, scenario.instruments)
+        yield from _unknown_name(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
             yield f"instruments.{shown(name)} stands nowhere; name it as the instrument of a station"
@@ -363,12 +363,12 @@ def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
     """Sentences on invalid reference lengths: wrong ends, undeclared material, or invalid temperature."""
     for i, length in enumerate(scenario.lengths, 1):
         for key, name in (("from", length.from_), ("to", length.to)):
-            yield from _unlisted(f"lengths.{i}.{key}", name, scenario.targets)
+            yield from _unknown_name(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
             yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
         if length.material is not None:
             none_hint = "none, and a table [materials.NAME] states one"
-            yield from _unlisted(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
+            yield from _unknown_name(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
             yield f"lengths.{i}.measured_at_c is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
 
@@ -376,9 +376,9 @@ def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
 def _wrong_effects(scenario: Scenario) -> Iterator[str]:
     for i, entry in enumerate(scenario.effects, 1):
         for name in entry.stations:
-            yield from _unlisted(f"effects.{i}.stations", name, scenario.stations)
+            yield from _unknown_name(f"effects.{i}.stations", name, scenario.stations)
         for name in entry.targets:
-            yield from _unlisted(f"effects.{i}.targets", name, scenario.target_names)
+            yield from _unknown_name(f"effects.{i}.targets", name, scenario.target_names)
 
 
 def table_name(name: str) -> str:

@@ -11,7 +11,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.physics.effects.verbs import Sized, effect_from, shape_of
 from ltsim.recordings.setup import (
-    LEAST_SIGMA,
+    MIN_SIGMA,
     Finite,
     LengthUse,
     Limits,
@@ -25,7 +25,7 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.specification import sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-LengthSigma = Annotated[float, Field(ge=1e3 * LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
+LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 """Standard deviation [um] of a length, with the lower bound of a set-up's."""
 Fraction = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]

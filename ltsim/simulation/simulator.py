@@ -24,7 +24,7 @@ from ltsim.recordings.setup import (
     Target,
     Vector,
 )
-from ltsim.simulation.draws import Normal, TrialDraws, effect_laws
+from ltsim.simulation.draws import NormalSource, TrialDraws, effect_distributions
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork, smrs_of
 from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, nominal_noise, quantised, resolution_of
@@ -58,10 +58,10 @@ def measure(
     """
     blank = error_free(work)
     given = None if values is None else values[:, :, None]
-    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])), given, stream_key=stream_key)
+    drawn = population_of(work, blank).draw(NormalSource(seed, np.array([trial])), given, stream_key=stream_key)
     values, amounts = drawn.values[:, :, 0], tuple(amount[:, 0] for amount in drawn.amounts)
     readings = simulate_readings(work, values, amounts, drawn.noise[:, :, 0])
-    recording = certified_by(blank.with_readings(readings), drawn.certified[:, 0])
+    recording = with_certificates(blank.with_readings(readings), drawn.certified[:, 0])
     return recording, _truth(work, values, amounts, seed, trial)
 
 
@@ -99,7 +99,7 @@ def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
         noise=nominal_noise(scenario, work.sightings),
         lengths=ReferenceLengths.of(blank),
         names=blank.targets,
-        effects=effect_laws(scenario, work.effects),
+        effects=effect_distributions(scenario, work.effects),
         certificate_factor=scenario.cmm.noise_factor,
     )
 
@@ -113,7 +113,7 @@ def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats,
     readings = exact_readings(work, instrument, values) + noise
     readings[:, 1] = wrap(readings[:, 1])
     readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
-    for mistake in mistakes(work.effects, values):
+    for mistake in blunders_in(work.effects, values):
         readings = mistake.written(work.sightings, readings)
     recorded = [[name in tracker.observables for name in OBSERVABLES] for tracker in work.scenario.trackers.values()]
     return np.where(np.array(recorded)[work.sightings.instrument], readings, np.nan)
@@ -125,7 +125,7 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
     `instrument` and `values` as of `simulate_readings`.
     """
     sightings = work.sightings
-    for mistake in mistakes(work.effects, values):
+    for mistake in blunders_in(work.effects, values):
         sightings = mistake.done(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = work.construction.readings(sightings.local, sightings.face, errors)
@@ -135,7 +135,7 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
     return readings
 
 
-def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
+def blunders_in(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
     """Blunders in a trial: those whose parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
 
@@ -258,7 +258,7 @@ def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
     certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
     by_machine = length_sigma(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
-    return certified_by(blank, certified, sigma)
+    return with_certificates(blank, certified, sigma)
 
 
 def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
@@ -273,7 +273,7 @@ def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def certified_by(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
+def with_certificates(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
     """Recording with other certificates: lengths (g,) [m] at calibration, and (if given) their sigmas [m]."""
     if recording.setup.gauge is None:
         return recording

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.scene.cad import Cad, extent, inside, read_mesh, size_question
-from ltsim.scene.meshes import Obstacles, box, cylinder, placed, together
-from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
+from ltsim.scene.cad import CadFile, extent, inside, read_mesh, size_question
+from ltsim.scene.meshes import Obstacles, box, cylinder, joined_obstacles, transformed
+from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, joined_tables, visibility
 from ltsim.simulation.gauge import frame_of, in_workshop
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle, ScenarioInstrument
@@ -100,7 +100,7 @@ class Body:
     name: str
     triangles: Floats
     """Triangles of the obstacle, (m, 3, 3) [m]."""
-    cad: Cad | None
+    cad: CadFile | None
     """CAD file of the obstacle; None for a box or cylinder."""
 
     @property
@@ -113,7 +113,7 @@ class Body:
 def obstacles_of(scenario: Scenario) -> Obstacles | None:
     """Obstacles of the lines of sight, or None in an empty workshop; raises SetupError."""
     parts = bodies_of(scenario)
-    return together(body.triangles for body in parts) if parts else None
+    return joined_obstacles(body.triangles for body in parts) if parts else None
 
 
 def bodies_of(scenario: Scenario) -> list[Body]:
@@ -143,10 +143,10 @@ def bodies_of(scenario: Scenario) -> list[Body]:
 
 
 def _in_place(entry: Obstacle, triangles: Floats) -> Floats:
-    return placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+    return transformed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
 
 
-def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
+def _place_question(entry: Obstacle, body: Body, cad: CadFile, room: Floats) -> str:
     """Question to the user about an obstacle that extends beyond the room; empty for none."""
     if entry.beyond_room or inside(body.triangles, room):
         return ""
@@ -178,4 +178,4 @@ def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibilit
         )
         for stations, tracker in zip(stations_of_tracker, scenario.trackers.values(), strict=True)
     ]
-    return in_order(tables, np.argsort(np.concatenate(stations_of_tracker)))
+    return joined_tables(tables, np.argsort(np.concatenate(stations_of_tracker)))

@@ -16,28 +16,28 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from ltsim.core.arrays import Floats, Ints
 
-SMALL = 240
+MAX_SINGLE_BLOCK = 240
 """Size up to which a matrix is treated as one block, because ordering it would cost more than it saves."""
-SHARED = 0.6
+MIN_BORDER_COUPLING = 0.6
 """Fraction of all other columns to which a column of the border is coupled at least."""
-LEAST_BLOCK = 48
+MIN_BLOCK = 48
 
 
 def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     """Order (K,) of the columns, and the limits (b + 2,) of b blocks and of the border, which is last."""
     size = matrix.shape[0]
     whole = np.arange(size), np.array([0, size, size])
-    if size <= SMALL:
+    if size <= MAX_SINGLE_BLOCK:
         return whole
-    shared = np.diff(matrix.indptr) > SHARED * size
+    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * size
     inner = np.flatnonzero(~shared)
-    if len(inner) <= SMALL:
+    if len(inner) <= MAX_SINGLE_BLOCK:
         return whole
     part = sp.csr_array(matrix[inner][:, inner])
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
     rows = np.repeat(place, np.diff(part.indptr))
-    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), LEAST_BLOCK)
+    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK)
     if 3 * width >= len(inner):
         return whole
     edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), size])

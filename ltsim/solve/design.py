@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
-DENSE = 600_000
+MAX_DENSE_ENTRIES = 600_000
 """Number of entries below which a design is dense, because sparse bookkeeping would cost more."""
 
 Design: TypeAlias = Floats | sp.csr_array
@@ -34,7 +34,7 @@ class Pattern:
         widths = np.repeat([kind.shape[1] for kind in columns], [len(kind) for kind in columns])
         indices = np.concatenate([kind.ravel() for kind in columns])
         self._shape = len(widths), size
-        self._is_dense = len(widths) * size <= DENSE
+        self._is_dense = len(widths) * size <= MAX_DENSE_ENTRIES
         if self._is_dense:
             self._places = np.repeat(size * np.arange(len(widths)), widths) + indices
         else:
@@ -71,19 +71,19 @@ def scaled(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
     return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
 
 
-DOUBTFUL = 1e-8
+DOUBTFUL_PIVOT = 1e-8
 """Pivot of unit columns below which it may be a rounding error, so that the weakest direction is tested itself."""
-RANK = 1e-14
+RANK_TOLERANCE = 1e-14
 """Squared length of the image of a unit vector under unit columns at or below which the direction is undetermined.
 
 Fifty times the rounding of a Cholesky factorisation; a chain of 2,000 set-ups bends by 1e-13.
 """
-FORMED = 1e-12
-"""Tolerance as `RANK` for a normal matrix after eliminations, whose design is not available: its eigenvalues have
-rounding errors of 1e-15.
+NORMAL_RANK_TOLERANCE = 1e-12
+"""Tolerance as `RANK_TOLERANCE` for a normal matrix after eliminations, whose design is not available: its eigenvalues
+have rounding errors of 1e-15.
 """
 
-POINT = 1e-10
+POINT_RANK_TOLERANCE = 1e-10
 """Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which a direction of the point is
 undetermined: its standard deviation is 100,000 times that of the others.
 """
@@ -106,11 +106,11 @@ def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
-        doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > DOUBTFUL)
+        doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > DOUBTFUL_PIVOT)
     except np.linalg.LinAlgError:
         roots, doubtful = np.full_like(matrices, np.nan), np.ones(len(matrices), dtype=bool)
     if doubtful.any():
-        definite = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > FORMED
+        definite = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > NORMAL_RANK_TOLERANCE
         factors = np.full_like(matrices[doubtful], np.nan)
         factors[definite] = np.linalg.cholesky(matrices[doubtful][definite])
         roots[doubtful] = factors

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.solve.chain import BlockChain, inverse_of
-from ltsim.solve.design import DOUBTFUL, RANK, Design, column_scale, scaled, unit_diagonal
+from ltsim.solve.design import DOUBTFUL_PIVOT, RANK_TOLERANCE, Design, column_scale, scaled, unit_diagonal
 from ltsim.solve.threads import single_threaded
 
 
@@ -276,7 +276,7 @@ class BlockFactor:
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED) from error
         self._scale = self._elimination.scale
-        if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest() <= RANK:
+        if self._elimination.smallest_pivot < DOUBTFUL_PIVOT and damping + self._weakest() <= RANK_TOLERANCE:
             raise SingularSystemError(UNDETERMINED)
 
     def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:

@@ -15,13 +15,13 @@ TOLERANCE = 1e-8
 """Squared length of a step, in the metric of the normal matrix (standard deviations), below which the iteration has
 converged.
 """
-NEAR = 1.0
+REUSE_LIMIT = 1.0
 """Squared length [standard deviations] of a step below which the design is reused for one more step."""
-SURE = 1e-4
+CERTAIN_CONVERGENCE = 1e-4
 """Fraction of the tolerance below which no further step is computed: a millionth of a standard deviation."""
-SLIGHT = 1e-5
+NEGLIGIBLE_DAMPING = 1e-5
 """Damping up to which a short step counts as convergence; with more damping steps are short anyway."""
-ROUNDED = 1e-4
+ROUNDING_LENGTH = 1e-4
 """Squared length below which steps that no longer decrease are rounding errors (large coordinates)."""
 
 
@@ -96,21 +96,21 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30) -> Solution[X]:
             return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
         step = factor.step()
         length = _length(system, step)
-        if not damping and length < ROUNDED and length > before / 4:
+        if not damping and length < ROUNDING_LENGTH and length > before / 4:
             return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
         # The next step is as much shorter than this one as this one was than the one before.
-        sure = length * length < SURE * TOLERANCE * before < float("inf")
-        trial, before, near = problem.retract(x, step), length, length < NEAR and not damping
+        sure = length * length < CERTAIN_CONVERGENCE * TOLERANCE * before < float("inf")
+        trial, before, near = problem.retract(x, step), length, length < REUSE_LIMIT and not damping
         if near and sure:
-            system = _after(system, system.residual, step)
+            system = _system_after(system, system.residual, step)
             return Solution(trial, system.cost, iteration, Status.CONVERGED, factor, system)
         if near:
             final = _last_step(problem, trial, system, factor)
             if final is not None:
                 x, system = final
                 return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
-        ahead, whole = problem.linearise(trial), damping < SLIGHT
-        if ahead.cost <= system.cost * (1 + 1e-12) + TOLERANCE or (whole and length < ROUNDED):
+        ahead, whole = problem.linearise(trial), damping < NEGLIGIBLE_DAMPING
+        if ahead.cost <= system.cost * (1 + 1e-12) + TOLERANCE or (whole and length < ROUNDING_LENGTH):
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
             if whole and length < TOLERANCE:
@@ -138,10 +138,10 @@ def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: BlockFact
     step = factor.step(residual)
     if not _length(system, step) < TOLERANCE:
         return None
-    return problem.retract(x, step), _after(system, residual, step)
+    return problem.retract(x, step), _system_after(system, residual, step)
 
 
-def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
+def _system_after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     """System after a step, with the same design and the residual of the new point."""
     return BlockSystem(system.design, residual - system.design @ step, system.n_reduced)
 

@@ -19,13 +19,13 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.solve.design import Design, as_dense, column_scale
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
-DENSE = 4_000_000
+MAX_BASIS_ENTRIES = 4_000_000
 """Number of entries below which a design gets an orthonormal basis, because dense products are much faster."""
-ORTHOGONAL = 1e-10
+MAX_OVERLAP = 1e-10
 """Largest inner product of projected unit vectors with unit columns of the design; above it they
 are projected again.
 """
-NOTHING = 1e-12
+ZERO_EIGENVALUE = 1e-12
 """Eigenvalue of a block of the hat matrix below which it counts as zero."""
 
 
@@ -101,7 +101,7 @@ class FactorProjection:
         residual: Floats = self.design @ -self.factor.covariance_columns(inside)
         residual[rows] += columns
         again = self._transposed @ residual
-        if np.any(np.abs(again) * self._scale[:, None] > ORTHOGONAL * np.linalg.norm(columns, axis=0)):
+        if np.any(np.abs(again) * self._scale[:, None] > MAX_OVERLAP * np.linalg.norm(columns, axis=0)):
             residual -= self.design @ self.factor.covariance_columns(again)
         if self.added.shape[1]:
             residual -= self.added @ (self.added.T @ residual)
@@ -146,7 +146,7 @@ Projection: TypeAlias = BasisProjection | FactorProjection
 def projection_of(system: BlockSystem, factor: BlockFactor | None) -> Projection:
     """Projector onto the residual space of a system: by a basis for a small system or without a factor."""
     rows, columns = system.design.shape
-    if factor is None or rows * columns <= DENSE:
+    if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
         return BasisProjection.of(system.design)
     return FactorProjection.of(system.design, factor)
 
@@ -160,5 +160,5 @@ def _squares(columns: Floats, edges: Ints) -> list[Floats]:
 def _thin(root: Floats) -> tuple[Floats, Floats]:
     """Non-zero eigenvalues of root root', and their vectors, for a root (f, k) with fewer columns than rows."""
     values, vectors = np.linalg.eigh(root.T @ root)
-    nonzero = values > NOTHING
+    nonzero = values > ZERO_EIGENVALUE
     return values[nonzero], root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

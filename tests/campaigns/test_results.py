@@ -18,7 +18,7 @@ import ltsim as lt
 from ltsim.campaigns.statistics import Statistics
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.notation import number
-from ltsim.reports.document import Grid
+from ltsim.reports.document import TableBlock
 from ltsim.reports.figures.campaign import swept
 from ltsim.reports.figures.campaign_factors import cell_words
 from ltsim.reports.sections.campaign import campaign_section
@@ -195,7 +195,7 @@ def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
 
 def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
     blocks = campaign_section(sweep.folder).blocks
-    tables = {block.title: block for block in blocks if isinstance(block, Grid)}
+    tables = {block.title: block for block in blocks if isinstance(block, TableBlock)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
         floors = [row[-2] for row in tables[title].rows]
         means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]

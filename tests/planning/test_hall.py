@@ -19,8 +19,8 @@ from ltsim.planning.site import Placement, SearchSpace
 from ltsim.planning.tolerances import ToleranceCheck, Tolerances, radius, verdict
 from ltsim.planning.work_order import TapeDistance, lacking, settings_of
 from ltsim.reports.work_order import work_order_page
-from ltsim.scene.floor import Floor, fault, ground_of, inside, may_stand
-from ltsim.scene.meshes import cylinder, together
+from ltsim.scene.floor import Floor, areas_and_keep_outs, inside, may_stand, outline_error
+from ltsim.scene.meshes import cylinder, joined_obstacles
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.workshop import planned, sight_limits
 
@@ -94,7 +94,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
                    "holes_mm": [[[1000, 1000], [2000, 1000], [2000, 2000], [1000, 2000]]]}],
         "keep_outs": [{"corners_mm": [[3000, 3000], [3500, 3000], [3500, 3500]], "clear_mm": 400}],
     }  # fmt: skip
-    areas, free = ground_of(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
+    areas, free = areas_and_keep_outs(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
     at = np.array([[0.5, 0.5, 1.5], [1.5, 1.5, 1.5], [0.5, 0.5, 1.9], [2.7, 3.0, 1.5], [2.5, 3.0, 1.5]])
     assert may_stand(areas, free, None, at).tolist() == [True, False, False, False, True]
 
@@ -123,11 +123,11 @@ def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: st
 
 
 def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
-    assert not fault(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
-    assert "crosses" in fault(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
-    assert "crosses" in fault(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
-    assert "line" in fault(np.array([[0.0, 0], [1, 1], [2, 2]]))
-    assert "corner 2 stands" in fault(np.array([[0.0, 0], [0, 0], [2, 2]]))
+    assert not outline_error(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
+    assert "crosses" in outline_error(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
+    assert "crosses" in outline_error(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
+    assert "line" in outline_error(np.array([[0.0, 0], [1, 1], [2, 2]]))
+    assert "corner 2 stands" in outline_error(np.array([[0.0, 0], [0, 0], [2, 2]]))
     assert inside(np.array([[0.0, 0], [1, 0], [0, 1]]), np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])).tolist() == [
         True, True, False,
     ]  # fmt: skip
@@ -177,7 +177,7 @@ def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, se
 
 
 def test_a_cylinder_hides_what_its_diameter_covers() -> None:
-    there = together([cylinder(1.0, 2.0)])
+    there = joined_obstacles([cylinder(1.0, 2.0)])
     origins, y = np.full((4, 3), [-3.0, 0.0, 1.0]), np.array([0.0, 0.49, 0.52, 0.0])
     origins[:, 1] = y
     ends = origins + [6.0, 0.0, 0.0]

@@ -101,7 +101,7 @@ class Wall:
         assert len(origins) == len(ends)
         return np.asarray((origins[:, 0] < 1) & (ends[:, 0] > 1))
 
-    def over_skin(self, points):
+    def moved_to_surface(self, points):
         return points
 
     def encloses(self, points: np.ndarray) -> np.ndarray:

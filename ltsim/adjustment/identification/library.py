@@ -32,7 +32,7 @@ from ltsim.adjustment.station_motions import EvenMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import largest_miss
+from ltsim.geometry.alignment import largest_residual
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
@@ -247,9 +247,9 @@ def exchanges(recording: Recording) -> list[Hypothesis]:
         (_, _, points), _ = initial_network(without_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
         there = np.array([declared[name].known_mm for name in names]) * MILLIMETRE
-        miss = largest_miss(here, there)
+        miss = largest_residual(here, there)
         pairs = list(combinations(range(len(names)), 2))
-        swapped = [largest_miss(here, there[_swapped(len(names), *pair)]) for pair in pairs]
+        swapped = [largest_residual(here, there[_swapped(len(names), *pair)]) for pair in pairs]
     except NetworkError:
         return []
     best = int(np.argmin(swapped))

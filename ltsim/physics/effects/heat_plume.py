@@ -17,7 +17,7 @@ REACH = 0.5
 MOVES = (0.2, 0.08)
 """Steps [m] in the refinement of a centre."""
 NEAR_STATION, NEAR_TARGET = 0.25, 0.5
-MOST_PLACES = 40
+MAX_PLACES = 40
 """Number of stations, or targets, beyond which plumes at single ones are not tried."""
 
 
@@ -68,8 +68,8 @@ class HeatPlume(WarmAir):
         angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
         ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in LEVELS]
         offsets = [_rounded(REACH * np.array(way)) for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))]
-        stations = sightings.station_names if len(sightings.station_names) <= MOST_PLACES else ()
-        targets = sightings.target_names if len(sightings.target_names) <= MOST_PLACES else ()
+        stations = sightings.station_names if len(sightings.station_names) <= MAX_PLACES else ()
+        targets = sightings.target_names if len(sightings.target_names) <= MAX_PLACES else ()
         return [
             *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
             *(cls((), (name,), radius=NEAR_TARGET) for name in targets),

@@ -11,7 +11,7 @@ from ltsim.physics.effects.places import visited_pairs
 from ltsim.scene.sightings import Sightings
 
 SIZE = 50 * MICROMETRE
-MOST_PAIRS = 600
+MAX_PAIRS = 600
 """Number of pairs of station and target beyond which single seatings are not searched, because the
 w-test detects them.
 """
@@ -52,7 +52,7 @@ class NestLift(TargetMotion):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every pair of station and target: any direction and, for a known nest, along its normal."""
         pairs = visited_pairs(sightings)
-        if len(pairs) > MOST_PAIRS:
+        if len(pairs) > MAX_PAIRS:
             return []
         oriented = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented}

@@ -9,7 +9,7 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
-MOST_CHANGES = 140
+MAX_CHANGES = 140
 """Number of change points that are tried over all stations of a network."""
 REACH = 6
 
@@ -30,7 +30,7 @@ def change_times(times: Floats, *, least: int, most: int) -> list[float]:
 
 def station_change_times(sightings: Sightings, *, least: int) -> list[tuple[str, float]]:
     """Pairs (station, time [s]) of the change points within a station's visit that are tried."""
-    most = max(2, MOST_CHANGES // max(len(sightings.station_names), 1))
+    most = max(2, MAX_CHANGES // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
@@ -77,7 +77,7 @@ WARM_UP = ShapeParameter(
 )
 
 
-SLOWEST, OF_SPAN = 2.0, (0.3, 1.0)
+MAX_TIME_CONSTANT, SPAN_FRACTIONS = 2.0, (0.3, 1.0)
 """Ratios of time constants to the duration of the measurement: the largest that is tried, and those that replace the
 usual ones if these are longer.
 """
@@ -116,7 +116,9 @@ class Drift(Effect):
         their number.
         """
         span = float(np.ptp(sightings.time))
-        times = [t for t in WARM_UP.grid().tolist() if t <= SLOWEST * span] or [share * span for share in OF_SPAN]
+        times = [t for t in WARM_UP.grid().tolist() if t <= MAX_TIME_CONSTANT * span] or [
+            share * span for share in SPAN_FRACTIONS
+        ]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
         linear = [cls(law=law) for law in (cls.laws if names else cls.laws[:1])]
         alone = [cls((name,), law="visit") for name in names if cls.alone]

@@ -67,14 +67,14 @@ def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None
     return on_readings(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
 
-def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:
+def integrated_change(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:
     """Change (n, 3) of the raw readings by the ray equation (Runge-Kutta, fourth order).
 
     The ray starts in the first-order direction, which is then corrected by the distance at which it misses the target.
     """
     start, target = sightings.position[sightings.station], sightings.points[sightings.target]
     length = sightings.range_
-    guess = _aim(sightings, field)
+    guess = _apparent_directions(sightings, field)
     end, arrival, optical = _traced(start, guess, length, field, steps)
     miss = target - end
     along = np.sum(miss * arrival, axis=1)
@@ -87,7 +87,7 @@ def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats
     return reading_change(sightings, apparent)
 
 
-def _aim(sightings: Sightings, field: AirField) -> Floats:
+def _apparent_directions(sightings: Sightings, field: AirField) -> Floats:
     """Unit vectors (n, 3) towards the apparent positions of the targets, first order."""
     beam, across, up = sightings.unit_vectors
     change = first_order(sightings, field)
@@ -147,4 +147,4 @@ class WarmAir(Effect):
             warmer, gradient = kelvin(points)
             return values[0] * warmer, values[0] * gradient
 
-        return bent(sightings, field) * self.mask(sightings)[:, None]
+        return integrated_change(sightings, field) * self.mask(sightings)[:, None]

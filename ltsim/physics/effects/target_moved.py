@@ -10,7 +10,7 @@ from ltsim.physics.effects.motions import TargetMotion
 from ltsim.physics.effects.places import gaps_near, start_time, visit_change_times
 from ltsim.scene.sightings import Sightings
 
-MOST_STEPS = 8
+MAX_STEPS = 8
 STEP, RATE = 60 * MICROMETRE, 40 * FACTOR["um/h"]
 
 
@@ -50,7 +50,7 @@ class TargetMoved(TargetMotion):
         """Candidates for every target: a step between any two visits, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
-            steps = visit_change_times(sightings, t, most=MOST_STEPS)
+            steps = visit_change_times(sightings, t, most=MAX_STEPS)
             candidates += [cls((), (name,), time) for time in steps]
             candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
         return candidates

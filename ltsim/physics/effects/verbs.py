@@ -12,7 +12,7 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
 
 PLACES, COMMON = ("stations", "targets"), {f.name for f in dataclasses.fields(AnyEffect)}
-WIDER = 100.0
+SIMULATION_FACTOR = 100.0
 """Factor beyond the bounds of a search up to which a length or time constant may be simulated."""
 
 
@@ -110,7 +110,7 @@ def _check_constants(effect: AnyEffect) -> None:
             raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, choices))}")
     for shape in effect.shape:
         value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
-        low, high = shape.low / WIDER, shape.high * WIDER
+        low, high = shape.low / SIMULATION_FACTOR, shape.high * SIMULATION_FACTOR
         if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
             bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
             raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")

@@ -27,9 +27,9 @@ not be zero at the ends of the covariate's range.
 """
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
 """Length scales by number of eigenfunctions, in half-widths of the covariate's range; in radians on a circle."""
-MEMORY = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
+MEMORY_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings."""
-SIMPLE: dict[str, Callable[[Floats, float], Floats]] = {
+SIMPLE_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
     "cos": lambda x, k: np.cos(k * x),
@@ -69,7 +69,7 @@ def unit_rms(column: Floats) -> Floats:
     return column / size if size > 0 else column
 
 
-OVERTONES = 5
+HARMONICS = 5
 """Number of harmonics of a periodic function of any shape."""
 
 
@@ -113,18 +113,18 @@ def function(sightings: Sightings, name: str, how: str, constant: float) -> Floa
     """Function (n, 1) of a covariate and a constant."""
     x = sightings.quantities[name]
     if how == HYSTERESIS:
-        slack = play(x[sightings.order], constant)
+        slack = play_operator(x[sightings.order], constant)
         values = np.empty_like(x)
         values[sightings.order] = slack - x[sightings.order]
         return unit_rms((values - values.mean())[:, None])
     if how == "power" and name in sightings.covariates and not has_zero(x):
         x = x - x.mean()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = SIMPLE[how](x, constant)
+        values = SIMPLE_FUNCTIONS[how](x, constant)
     return unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
 
 
-def play(x: Floats, half: float) -> Floats:
+def play_operator(x: Floats, half: float) -> Floats:
     """Output (n,) of a play operator for a sequence (n,): it moves once the input has moved by the slack `half`.
 
     The operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
@@ -154,7 +154,7 @@ def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, 
 def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
     """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
     x = sightings.quantities[name]
-    x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
+    x = np.abs(x) if name.startswith(MEMORY_PREFIXES) else x - x.mean()
     rows = sightings.order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
     slow = np.empty_like(x)

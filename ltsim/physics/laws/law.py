@@ -15,31 +15,31 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.signature import Parameter, Tunable
 from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, indicator_columns
-from ltsim.physics.laws.places import LEAST_GROUP
-from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP, is_near_several
+from ltsim.physics.laws.places import MIN_GROUP
+from ltsim.physics.laws.regressor_library import MAX_VISITS, WAVE_STEP, is_near_several
 from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, pieces, simple, smooth, switch
 from ltsim.physics.laws.responses import RESPONSES, ResponseTerm
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MOST_MEMBERS = 12
+MAX_MEMBERS = 12
 """Largest number of targets in a group whose motions may differ from each other."""
-FACE = simple("face", "power")
+FACE_SIGN = simple("face", "power")
 """Regressor with the sign of the face: an elevation error proportional to it is the vertical index."""
-ATOMS = 41
+MAX_ATOM_VALUES = 41
 """Largest number of values of a covariate at which steps and ramps are tried."""
-OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
+SET_UP_KINDS = ("reading", "instrument", "circle", "stand")
 """Kinds of responses that may differ between set-ups in size."""
-ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 """Angles whose sines, cosines and tangents are tried."""
-SWITCHED = 60
+MAX_SWITCH_TIMES = 60
 """Largest number of times at which a switch is tried."""
-MOVED, NEAR = 4, 6
+MAX_MOVED_PIECES, PIECE_MOVES = 4, 6
 """Largest number of steps and ramps that are moved individually, and the number of gaps between covariate values by
 which they move; it is also the smallest distance between them, since a few pointings do not determine a law.
 """
-SCALED = (
+SCALED_FUNCTIONS = (
     "decay",
     "fading",
     "relaxing",
@@ -56,9 +56,9 @@ SCALED = (
 """Functions and kinds whose constant is first determined to within a factor."""
 THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
 """Moves of the thresholds of a latch, as fractions of the span of its covariate."""
-SAWS = np.array([1.0, 0.5, 0.25, 0.125])
+SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
 """Periods of saw-tooth functions, as fractions of a covariate's span."""
-OF_SPAN = np.array([0.05, 0.15, 0.5])
+SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as fractions of a covariate's span."""
 
 
@@ -149,13 +149,13 @@ class Law(Tunable):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if (driver.kind == "pieces" and len(driver.factors) <= MOVED) or driver.kind == "switch":
+        if (driver.kind == "pieces" and len(driver.factors) <= MAX_MOVED_PIECES) or driver.kind == "switch":
             return self._with_moved_pieces(sightings)
         if driver.region is not None:
             near = driver.kind == "near"
             moved = [r for r in driver.region.neighbours() if not near or is_near_several(r, sightings)]
             return [replace(self, driver=driver.through(region)) for region in moved]
-        if driver.function in SCALED or driver.kind in SCALED:
+        if driver.function in SCALED_FUNCTIONS or driver.kind in SCALED_FUNCTIONS:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         if driver.kind == "latch":
             return self._with_moved_thresholds(sightings)
@@ -178,8 +178,8 @@ class Law(Tunable):
         gaps = np.searchsorted(x, [piece.constant for piece in factors])
         laws = []
         for i, piece in enumerate(factors):
-            for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
-                if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) >= NEAR:
+            for k in range(max(gaps[i] - PIECE_MOVES, 1), min(gaps[i] + PIECE_MOVES, len(x) - 1) + 1):
+                if np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVES) >= PIECE_MOVES:
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
                     laws.append(self._of_steps([*factors[:i], moved, *factors[i + 1 :]]))
         return laws
@@ -187,13 +187,13 @@ class Law(Tunable):
     def formulas(self, sightings: Sightings) -> list[Law]:
         """Short formulas that may replace a smooth law."""
         if self.driver.kind == "smooth":
-            return [replace(self, driver=d, scale=0) for d in _short(sightings, self.driver.covariates[0])]
+            return [replace(self, driver=d, scale=0) for d in _short_regressors(sightings, self.driver.covariates[0])]
         if self.driver.function == "decay":
             return [replace(self, driver=replace(self.driver, function="relaxing"))]
         if self.driver.kind != "product":
             return []
         options = [
-            list(_short(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
+            list(_short_regressors(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
             for f in self.driver.factors
         ]
         return [replace(self, driver=Regressor("product", factors=factors), scale=0) for factors in product(*options)]
@@ -204,7 +204,7 @@ class Law(Tunable):
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             forms["fine"] = [replace(self, driver=finer)]
-        if LEAST_GROUP <= len(self.targets) <= MOST_MEMBERS and self.carrier.kind == "target":
+        if MIN_GROUP <= len(self.targets) <= MAX_MEMBERS and self.carrier.kind == "target":
             forms["members"] = [replace(self, driver=driver.per_target(self.targets), scale=0)]
         if driver.kind == "wave":
             forms["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
@@ -221,7 +221,7 @@ class Law(Tunable):
             return []
         name = curved[0].covariates[0]
         x = np.unique(sightings.quantities[name][self.mask(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, ATOMS).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_ATOM_VALUES).round().astype(int))]
         edges = 0.5 * (x[1:] + x[:-1])
         return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
@@ -240,7 +240,7 @@ class Law(Tunable):
         if self.driver.covariates != ("time",) or self.driver.kind not in ("smooth", "wave"):
             return []
         x = np.unique(sightings.time[self.mask(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, SWITCHED).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_TIMES).round().astype(int))]
         return [simple("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def switched(self, edges: Sequence[Regressor]) -> Law:
@@ -260,16 +260,16 @@ class Law(Tunable):
         if single_face and names <= {*CLOCKS, *sightings.covariates}:
             return replace(self, carrier=index)
         face, *rest = driver.factors or (driver, CONSTANT)
-        return replace(self, carrier=index, driver=rest[0]) if face == FACE and len(rest) == 1 else self
+        return replace(self, carrier=index, driver=rest[0]) if face == FACE_SIGN and len(rest) == 1 else self
 
     def at_each(self, sightings: Sightings) -> Law | None:
         """Law with separate coefficients for each set-up; None if that is not possible."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.driver.kind in ("product", "amounts") or self.carrier.kind not in OF_A_SET_UP
+        once = self.driver.kind in ("product", "amounts") or self.carrier.kind not in SET_UP_KINDS
         if confined or once or len(stations) < 2:
             return None
-        return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
+        return replace(self, stations=stations, each=True) if len(stations) <= MAX_VISITS else None
 
     def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
         """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance.
@@ -293,19 +293,19 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
-def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
+def _short_regressors(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
     """Short regressors in a covariate; fewer (`few`) if several covariates are tried together."""
-    times = OF_SPAN * float(np.ptp(sightings.quantities[name]))
+    times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR
     if circular:
         for order in range(1, 4 if few else 7):
             yield Regressor("wave", (name,), constant=float(order))
     tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
-    if name in ANGULAR and not (circular and few):
+    if name in ANGULAR_COVARIATES and not (circular and few):
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     tried += [("decay", times)] if name == "lapse" else []
     if not few:
-        tried.append(("saw", SAWS * float(np.ptp(sightings.quantities[name]))))
+        tried.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
         tried += [("decay", times)] if name in CLOCKS else []
         tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []

@@ -3,7 +3,7 @@
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressors import CLOCKS
 
-NAMED = {
+CATALOGUE_NAMES = {
     **{("vertical index", clock): "index-drift" for clock in CLOCKS},
     **{("azimuth", clock): "azimuth-drift" for clock in CLOCKS},
     **{("distance", clock): "range-drift" for clock in CLOCKS},
@@ -11,9 +11,9 @@ NAMED = {
     ("distance", "incidence"): "smr-incidence",
 }
 """Catalogue effect by response and covariate, for laws with an equivalent in the catalogue."""
-CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
+CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Responses of the graduation of a circle, by circle."""
-HARMONIC, GRADUATED = 2.5, 20.0
+MIN_HARMONIC_RATE, MIN_GRADUATION_RATE = 2.5, 20.0
 """Periods per turn from which a wave of a circle is a harmonic of higher than second order (lower orders are in the
 ordinary calibration), and from which it is an error of the graduation.
 """
@@ -22,13 +22,17 @@ ordinary calibration), and from which it is an error of the graduation.
 def name_of(law: Law) -> str:
     """Catalogue name of a law; `unknown` if there is none."""
     driver, carrier = law.driver, law.carrier.name
-    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > HARMONIC:
-        return "encoder-interpolation" if driver.constant > GRADUATED else f"{driver.covariates[0]}-harmonic"
+    if (
+        driver.kind == "wave"
+        and carrier in CIRCLE_RESPONSES.get(driver.covariates[0], ())
+        and driver.constant > MIN_HARMONIC_RATE
+    ):
+        return "encoder-interpolation" if driver.constant > MIN_GRADUATION_RATE else f"{driver.covariates[0]}-harmonic"
     if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
         return "range-cyclic"
     if driver.kind == "constant" and carrier == "distance" and not law.targets:
         return "range-step" if len(law.stations) == 1 else "range-offset"  # a step is from the start of a visit on
-    name = NAMED.get((carrier, "".join(driver.covariates)), law.name)
+    name = CATALOGUE_NAMES.get((carrier, "".join(driver.covariates)), law.name)
     if law.instruments and name == "refractivity-drift":  # the air is of all
         return law.name
     return name if driver.function in ("decay", "power") else law.name

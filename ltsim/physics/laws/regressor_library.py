@@ -37,15 +37,15 @@ BASE = (*POINTED, "time", "station-time", "height", "bearing", "x", "y")
 _CIRCLES = ("circle", "vertical-circle")
 _NEST = ("incidence", "nest-direction")
 _SIGNS = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-WORK = ("work-azimuth", "work-elevation")
+ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATORS = ("last", "move", "work")
 """Operators: previous value, change since then, accumulated magnitude of the changes."""
 PRECEDING = ("wound-azimuth", "lapse", "count", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
-FOLLOWED = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
+READING_COVARIATES = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
 """Covariates of readings, in addition to columns of the recording."""
 _HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in PRECEDING if not n.endswith("distance")))
-DRIVES: dict[str, tuple[str, ...]] = {
+COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
     "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),
     "circle": (*CLOCKS, "lapse", *_SIGNS[3:]),
     "stand": (
@@ -68,29 +68,29 @@ DRIVES: dict[str, tuple[str, ...]] = {
 on the pointing of a tracker, but its stand does, because a head is not balanced exactly and the floor yields under the
 operator.
 """
-LEAST_NEAR = 2.5
+MIN_TARGETS_NEAR = 2.5
 """Smallest effective number of targets near a position."""
 PLACES_NEAR = ("xyz", "xy")
 """Shapes of the regions for nearness of targets."""
-DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
+DECAY_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
 one.
 """
 HALF_LOOPS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops, as fractions of a covariate's span."""
-MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
+LAG_TIMES = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that are tried: of detectors, instrument parts, stands, walls and floors."""
-FEW_VISITS, MOST_VISITS, MOST_AMOUNTS = 3, 12, 60
+FEW_VISITS, MAX_VISITS, MAX_AMOUNTS = 3, 12, 60
 """Smallest and largest number of set-ups with separate values (for fewer, single set-ups are tried), and largest number
 of targets.
 """
-MOST_CHANGES = 12
+MAX_CHANGES = 12
 """Largest number of times at which a step of a group is tried; the best one is refined."""
 WAVE_STEP = 0.6
 """Step between the rates tried for a wave, in cycles over the covariate's span, so that every rate
 is near a tried one.
 """
-MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
+MAX_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
 """Largest number of cycles of a wave over a covariate's span, and smallest number of pointings per cycle."""
 ROUNDING = 1e-12
 """Spread [rad, m, s] of a quantity below which it counts as constant: elevations in a plane differ by 1e-31."""
@@ -119,7 +119,7 @@ DEPTHS = {
 """Number of operators, and of factors beyond one, of each kind of regressor."""
 
 
-def further(sightings: Sightings) -> list[str]:
+def additional_columns(sightings: Sightings) -> list[str]:
     """Additional columns of the recording that vary."""
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
@@ -135,12 +135,12 @@ def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
 def is_admissible(kind: str, driver: Regressor, sightings: Sightings) -> bool:
     """True if a regressor can cause changes of a kind of response; readings may depend on every regressor."""
     names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
-    return kind == "reading" or all(n in DRIVES[kind] or base_of(n) in sightings.covariates for n in names)
+    return kind == "reading" or all(n in COVARIATES_BY_KIND[kind] or base_of(n) in sightings.covariates for n in names)
 
 
 def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Regressor]]:
     """All regressors that are tried, by kind; smooth ones with `modes` eigenfunctions."""
-    s, columns = sightings, further(sightings)
+    s, columns = sightings, additional_columns(sightings)
     base = _varying(s, (*BASE, *columns, *_CIRCLES, *_NEST))
     before = _varying(s, (*PRECEDING, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
     turning = [n for n in base if n not in CLOCKS]  # a clock never turns back
@@ -149,8 +149,10 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "constant": [CONSTANT],
         "sign": [simple(name, "power") for name in signs],
         "curve": [smooth(name, modes) for name in base],
-        "clock": local_drivers(s),
-        "decay": [simple(n, "decay", float(t)) for n in CLOCKS if n in base for t in np.ptp(s.quantities[n]) * DECAYS],
+        "clock": local_regressors(s),
+        "decay": [
+            simple(n, "decay", float(t)) for n in CLOCKS if n in base for t in np.ptp(s.quantities[n]) * DECAY_FRACTIONS
+        ],
         "memory": [
             *(smooth(name, modes) for name in before),
             *(simple(name, "abs") for name in before if name.startswith("move-")),
@@ -158,7 +160,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "lag": lags(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
         "amounts": [*_each_visit(s, FEW_VISITS + 1), *_each_before(s)],
         "wave": list(waves(s)),
-        "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_drivers(s), 2)],
+        "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_regressors(s), 2)],
         "shape": [simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS],
         "passage": [passage(region) for region in regions_of(s)],
         "lever": [passage(region, LEVER) for region in regions_of(s)],
@@ -171,19 +173,19 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
 
 def is_near_several(region: Region, sightings: Sightings) -> bool:
     """True if several targets are in a region: with one alone the error belongs to that target."""
-    return region.targets_within(sightings) > LEAST_NEAR
+    return region.targets_within(sightings) > MIN_TARGETS_NEAR
 
 
-def local_drivers(sightings: Sightings) -> list[Regressor]:
+def local_regressors(sightings: Sightings) -> list[Regressor]:
     """Regressors of single targets: functions of time, or of additional columns of the recording."""
-    names = _varying(sightings, ("time", *further(sightings)))
+    names = _varying(sightings, ("time", *additional_columns(sightings)))
     straight = [simple(name, "power") for name in names]
-    return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, further(sightings))]
+    return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, additional_columns(sightings))]
 
 
-def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
+def group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors of a group of targets: joint motion, sudden or gradual, different at each set-up, or a tilt."""
-    local, each, steps = local_drivers(sightings), _each_visit(sightings, 2), _steps(sightings)
+    local, each, steps = local_regressors(sightings), _each_visit(sightings, 2), _steps(sightings)
     return {
         "constant": [CONSTANT],
         "clock": local,
@@ -197,9 +199,9 @@ def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
 def _steps(sightings: Sightings) -> list[Regressor]:
     """Steps in time, at pauses spread evenly over the measurement."""
     clock = np.unique(sightings.time)
-    if len(clock) < MOST_CHANGES:
+    if len(clock) < MAX_CHANGES:
         return []
-    at = np.linspace(0, len(clock) - 1, MOST_CHANGES + 2).round().astype(int)[1:-1]
+    at = np.linspace(0, len(clock) - 1, MAX_CHANGES + 2).round().astype(int)[1:-1]
     return [pieces([simple("time", "step", float(0.5 * (clock[i] + clock[i + 1])))]) for i in at]
 
 
@@ -211,33 +213,33 @@ def _signs_differ(sightings: Sightings) -> bool:
 
 def _each_visit(sightings: Sightings, least: int) -> list[Regressor]:
     count = len(np.unique(sightings.station))
-    return [amounts("station", count)] if least <= count <= MOST_VISITS else []
+    return [amounts("station", count)] if least <= count <= MAX_VISITS else []
 
 
 def _each_before(sightings: Sightings) -> list[Regressor]:
     count = len(sightings.target_names)
-    return [amounts("last-target", count)] if 1 < count <= MOST_AMOUNTS else []
+    return [amounts("last-target", count)] if 1 < count <= MAX_AMOUNTS else []
 
 
 def lags(sightings: Sightings, names: Iterable[str]) -> list[Regressor]:
     """Regressors that depend on quantities through a first-order lag."""
     varying = _varying(sightings, names)
     return [
-        Regressor("lagging", (name,), constant=t) for t in MEMORIES if np.ptp(sightings.time) > t for name in varying
+        Regressor("lagging", (name,), constant=t) for t in LAG_TIMES if np.ptp(sightings.time) > t for name in varying
     ]
 
 
 def products(sightings: Sightings) -> Iterator[Regressor]:
     """Products of two regressors: a sign or change with a curve, two curves, separate curves per instrument."""
-    names = _varying(sightings, (*BASE[:7], *further(sightings), *_CIRCLES, *_NEST))
+    names = _varying(sightings, (*BASE[:7], *additional_columns(sightings), *_CIRCLES, *_NEST))
     trackers = len(np.unique(sightings.instrument))
-    if 1 < trackers <= MOST_VISITS:
+    if 1 < trackers <= MAX_VISITS:
         by_instrument = amounts("instrument", trackers)
         yield from (Regressor("product", factors=(smooth(name, LOW), by_instrument)) for name in names)
     for sign in _varying(sightings, _SIGNS[:3]):
         yield from (Regressor("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
     weights = [simple("distance", "power"), simple("elevation", "power")]
-    for name in _varying(sightings, WORK):  # heat that the drives leave
+    for name in _varying(sightings, ACCUMULATED_ROTATIONS):  # heat that the drives leave
         fading = [memory(name, how, k) for name, how, k in states_of(sightings, (name,)) if how == FADES]
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
@@ -257,19 +259,19 @@ def rates(sightings: Sightings, name: str, most: float) -> Floats:
 
 def waves(
     sightings: Sightings,
-    names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time", *WORK),
+    names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time", *ACCUMULATED_ROTATIONS),
     among: int = 1,
 ) -> Iterator[Regressor]:
     """Waves in some quantities; each of the parts `among` gets an equal fraction of the pointings."""
-    most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES) / among
+    most = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_CYCLES) / among
     for name in names:
         for rate in rates(sightings, name, most):
             yield Regressor("wave", (name,), constant=float(rate))
 
 
-SLOW = 18
+SLOW_RATES = 18
 """Number of rates of waves, the slowest ones, that are tried with targets."""
 
 
 def _slow_waves(sightings: Sightings) -> list[Regressor]:
-    return list(waves(sightings, ("time",)))[:SLOW]
+    return list(waves(sightings, ("time",)))[:SLOW_RATES]

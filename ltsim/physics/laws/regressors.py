@@ -11,9 +11,9 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.laws.columns import (
     CIRCULAR,
-    MEMORY,
+    HARMONICS,
+    MEMORY_PREFIXES,
     MODES,
-    OVERTONES,
     curve,
     curve_spreads,
     field,
@@ -55,7 +55,7 @@ POINTED = ("azimuth", "elevation", "distance", "target")
 def base_of(name: str) -> str:
     """Quantity to which an operator on the order of measurement is applied."""
     how, _, base = name.partition("-")
-    return base if base and f"{how}-" in MEMORY else name
+    return base if base and f"{how}-" in MEMORY_PREFIXES else name
 
 
 def words_of(names: Iterable[str]) -> tuple[str, ...]:
@@ -208,7 +208,7 @@ class Regressor:
             case "amounts" | "pieces":
                 return (np.ones(int(self.constant)),)
             case "cycle":
-                return (np.repeat(1.0 / np.arange(1, OVERTONES + 1), 2) / np.sqrt(2.0),)
+                return (np.repeat(1.0 / np.arange(1, HARMONICS + 1), 2) / np.sqrt(2.0),)
             case "field":
                 spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
                 return (spread / np.linalg.norm(spread),)

@@ -29,19 +29,19 @@ EVERY = "every"
 """Function of states that are reset after a fixed number of pointings."""
 QUANTILES = (0.6, 0.8, 0.92)
 """Limits that are tried, as quantiles of the quantity."""
-SPANS = (0.03, 0.1, 0.3)
+DECAY_FRACTIONS = (0.03, 0.1, 0.3)
 """Time constants of decaying states, as fractions of the duration of a set-up."""
-POINTINGS = (2.0, 4.0, 8.0)
+DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Numbers of pointings in which a state decays by a factor of e."""
-COUNTED = ("station-time", "count")
+COUNTED_INPUTS = ("station-time", "count")
 """Inputs of states that are reset after a fixed number of pointings."""
-COUNTS = range(3, 31)
+RESET_COUNTS = range(3, 31)
 """Numbers of pointings after which a state is reset."""
-LATCHES = (0.2, 0.35, 0.5, 0.65, 0.8)
+LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that are tried, as quantiles of the quantity."""
-LEAST_RELEASES = 2
+MIN_RELEASES = 2
 """Smallest number of resets within set-ups: a state with fewer is nearly the sum itself."""
-LEAST_SPAN = 1e-6
+MIN_SPAN = 1e-6
 """Smallest span of a state, relative to that of its input; below it the state is noise of the readings."""
 State = tuple[str, str, float]
 """State as a tuple: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
@@ -50,34 +50,34 @@ State = tuple[str, str, float]
 def states_of(sightings: Sightings, inputs: Sequence[str]) -> list[State]:
     """All states that are tried with some inputs; their columns are cached with the sightings."""
     functions = list(_functions(sightings))
-    states = [(name, how, k) for name in inputs for how, k in functions if how != EVERY or name in COUNTED]
-    _keep(sightings, states)
-    least = {name: LEAST_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    states = [(name, how, k) for name in inputs for how, k in functions if how != EVERY or name in COUNTED_INPUTS]
+    _cache_states(sightings, states)
+    least = {name: MIN_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
     return [key for key in states if np.ptp(sightings.derived[key]) > least[key[0]]]
 
 
 def _functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
     """Pairs of function and constant whose resets or decays differ in these sightings."""
     stay = float(np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)]))
-    yield from ((FADES, stay * share) for share in SPANS if stay > 0.0)
-    yield from ((FORGETS, number) for number in POINTINGS)
+    yield from ((FADES, stay * share) for share in DECAY_FRACTIONS if stay > 0.0)
+    yield from ((FORGETS, number) for number in DECAY_POINTINGS)
     offered = [(f"after {name}", 1.0) for name in EVENTS]
     for name in LIMITS:
         x = _limited(sightings, name)
         offered += (
             [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], QUANTILES))] if x.any() else []
         )
-    offered += [(EVERY, float(number)) for number in COUNTS]
+    offered += [(EVERY, float(number)) for number in RESET_COUNTS]
     for how, k in offered:
-        releases = int(_released(sightings, how, k).sum())
-        if LEAST_RELEASES <= releases < len(sightings) - len(np.unique(sightings.station)) - LEAST_RELEASES:
+        releases = int(_resets(sightings, how, k).sum())
+        if MIN_RELEASES <= releases < len(sightings) - len(np.unique(sightings.station)) - MIN_RELEASES:
             yield how, k
 
 
 def state(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
     """State (n,) less its mean."""
     key: State = name, how, constant
-    _keep(sightings, [key])
+    _cache_states(sightings, [key])
     values: Floats = sightings.derived[key]
     return values
 
@@ -98,7 +98,7 @@ def latches_of(sightings: Sightings, names: Iterable[str]) -> list[tuple[str, fl
     """Quantities with pairs of thresholds, the upper one first, for which some pointings lie between them."""
     latches = []
     for name in names:
-        thresholds = np.unique(np.quantile(sightings.quantities[name], LATCHES))
+        thresholds = np.unique(np.quantile(sightings.quantities[name], LATCH_QUANTILES))
         latches += [(name, float(above), float(below)) for below, above in combinations(thresholds, 2)]
     return latches
 
@@ -109,7 +109,7 @@ def _limited(sightings: Sightings, name: str) -> Floats:
     return np.abs(sightings.quantities[quantity])
 
 
-def _released(sightings: Sightings, how: str, constant: float) -> Bools:
+def _resets(sightings: Sightings, how: str, constant: float) -> Bools:
     """Flags (n,) of the pointings at which a state is reset, except the first one of a set-up."""
     came = sightings.previous >= 0
     before = np.where(came, sightings.previous, 0)
@@ -129,13 +129,13 @@ def _released(sightings: Sightings, how: str, constant: float) -> Bools:
     return np.asarray(came & (changing != changing[before]))
 
 
-def _keep(sightings: Sightings, states: Sequence[State]) -> None:
+def _cache_states(sightings: Sightings, states: Sequence[State]) -> None:
     """Computation of several states (n,) together, cached with the sightings."""
     states = [key for key in states if key not in sightings.derived]
     if not states:
         return
     rows = sightings.by_set_up
-    inputs = {name: _added(sightings, name)[rows] for name in {name for name, _, _ in states}}
+    inputs = {name: _increments(sightings, name)[rows] for name in {name for name, _, _ in states}}
     factors = {key: _factor(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
     added = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
@@ -150,7 +150,7 @@ def _keep(sightings: Sightings, states: Sequence[State]) -> None:
         sightings.derived[key][rows] = column
 
 
-def _added(sightings: Sightings, name: str) -> Floats:
+def _increments(sightings: Sightings, name: str) -> Floats:
     """Change (n,) of a quantity since the previous pointing of the set-up, 0 for its first."""
     x = sightings.quantities[name]
     return np.where(sightings.previous >= 0, x - x[sightings.previous], 0.0)
@@ -163,4 +163,4 @@ def _factor(sightings: Sightings, how: str, constant: float) -> Floats:
         return came * np.exp(-sightings.quantities["lapse"] / constant)
     if how == FORGETS:
         return came * np.exp(-1.0 / constant)
-    return came * ~_released(sightings, how, constant)
+    return came * ~_resets(sightings, how, constant)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.signature import NoiseSignature, Parameter
-from ltsim.physics.laws.columns import MEMORY
+from ltsim.physics.laws.columns import MEMORY_PREFIXES
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
@@ -15,7 +15,7 @@ REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
 """Kinds of repetition: an error on the path to a target is in the ranges of both faces, for example."""
 
 
-LEAST_PATH = 0.05
+MIN_PATH = 0.05
 """Fraction of the longest path through a region below which a line of sight counts as outside."""
 
 
@@ -104,10 +104,10 @@ class VarianceFunction(NoiseSignature):
         if self.region is not None:
             path = self.region.path(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
-            pattern = pattern * np.where(share > LEAST_PATH, share, 0.0)
+            pattern = pattern * np.where(share > MIN_PATH, share, 0.0)
             return self._grown(sigma, values[0] * pattern)
         for name in self.covariates:
-            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
+            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY_PREFIXES) else sightings.quantities[name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         return self._grown(sigma, values[0] * pattern)

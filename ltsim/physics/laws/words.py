@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressor_library import FOLLOWED, OPERATORS
+from ltsim.physics.laws.regressor_library import OPERATORS, READING_COVARIATES
 from ltsim.physics.laws.regressors import (
     CLOCKS,
     LEVER,
@@ -96,7 +96,7 @@ UNIT_OF = {
     "after tip": "move-elevation",
 }
 """Covariate whose unit the constant of a regressor has, by kind or function."""
-LEAST = {"min": 2.0, "m": 1.0}
+MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
 AT_EACH_SET_UP = ", in its own way at each set-up"
 """Suffix of the regressor of a law with separate coefficients for each set-up."""
@@ -106,7 +106,7 @@ SWITCH = "a switch of {x}, on from {spans}"
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
-THROUGH = {
+REGION_PHRASES = {
     ("passage", ""): "the path through",
     ("passage", LEVER): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
@@ -118,7 +118,7 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
     """Text of a covariate's value with its unit; without a `clock`, time is given in rows."""
     units = _units(name, clock)
     *larger, last = units
-    unit = next((u for u in larger if abs(value) >= LEAST[u] * units[u]), last)
+    unit = next((u for u in larger if abs(value) >= MIN_DISPLAYED[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
@@ -139,7 +139,7 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
     if driver.region is not None:
-        return f"{THROUGH[driver.kind, driver.function]} {region_words(driver.region)}"
+        return f"{REGION_PHRASES[driver.kind, driver.function]} {region_words(driver.region)}"
     if driver.kind == "switch":
         return _switch_words(driver, clock=clock)
     if driver.kind == "latch":
@@ -186,7 +186,7 @@ EXAMPLES = (
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
 _REGION = re.compile(
-    rf"(?P<through>{'|'.join(THROUGH.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
+    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
     rf"at (?P<at>.+), width (?P<width>{_NUMBER}) m"
 )
 _COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
@@ -201,7 +201,7 @@ def read_law(
     """Law from its response and the text form of its regressor (see `describe`), at some places; raises ModelError."""
     if carrier not in RESPONSES:
         raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(RESPONSES)}")
-    driver, each = read_driver(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
+    driver, each = read_regressor(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
     owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
@@ -218,22 +218,24 @@ def read_law(
     return Law(recording.stations if each else stations, targets, RESPONSES[carrier][0], driver, each=each)
 
 
-def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regressor:
+def read_regressor(words: str, recording: Recording, modes: int = MODES) -> Regressor:
     """Regressor from its text form, the inverse of `describe`; `modes` applies to a smooth one. Raises ModelError."""
     factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
     if words.endswith(AT_EACH):
         by_instrument = amounts("instrument", len(recording.instruments))
-        return Regressor("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), by_instrument))
+        return Regressor(
+            "product", factors=(read_regressor(words.removesuffix(AT_EACH), recording, LOW), by_instrument)
+        )
     if match := _REGION.fullmatch(words):
         region = _read_region(words, match)
-        kind, function = next(key for key, through in THROUGH.items() if through == match["through"])
+        kind, function = next(key for key, through in REGION_PHRASES.items() if through == match["through"])
         return near(region) if kind == "near" else passage(region, function)
     if len(factors) > 1:
-        return Regressor("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
+        return Regressor("product", factors=tuple(read_regressor(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
-        return pieces([read_driver(step, recording) for step in steps])
+        return pieces([read_regressor(step, recording) for step in steps])
     further = recording.circumstances
-    covariates = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
     if match := _SWITCH.fullmatch(words):
         return _read_switch(words, match, recording)
     if match := _LATCH.fullmatch(words):
@@ -281,7 +283,7 @@ def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regre
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_GROUPS["value"], text)
-        if value is None or name not in {*FOLLOWED, *recording.circumstances}:
+        if value is None or name not in {*READING_COVARIATES, *recording.circumstances}:
             raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-2]}'")
         thresholds.append(_constant(words, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:

@@ -29,7 +29,7 @@ from ltsim.recordings.recording import Recording
 
 NEWTON_STEPS = 12
 CLOSED = 1e-14
-NEARLY = 1e-11
+LAST_STEP_RESIDUAL = 1e-11
 """Residual [m, rad] from which one more step with the exact derivative converges to rounding."""
 
 
@@ -130,11 +130,11 @@ class Construction:
 
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
-        raw = self._approached(points, face, values, CLOSED)
+        raw = self._inverted(points, face, values, CLOSED)
         raw[:, 1] = wrap(raw[:, 1])
         return raw
 
-    def _approached(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
+    def _inverted(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
         """Raw readings (n, 3) of points, azimuths unwrapped, with a residual below `closed`.
 
         Newton's method with the derivative of an ideal tracker reduces the residual in each step by the relative size
@@ -157,7 +157,7 @@ class Construction:
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Results of `readings` and of `reading_design` at the same points, computed together."""
-        raw = self._approached(points, face, values, NEARLY)
+        raw = self._inverted(points, face, values, LAST_STEP_RESIDUAL)
         reached, by_reading, by_value = self.linearised(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
@@ -190,7 +190,7 @@ BOUNDS: dict[str, tuple[str, float]] = {
 }
 """Unit and prior sigma of a parameter by the kind of specification that applies to it."""
 
-SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
+COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
 MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
 HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
@@ -233,7 +233,7 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in MOTIONS]
     waves = range(2 * harmonics + 1)
-    rows = [(slot, SUFFIX[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
+    rows = [(slot, COEFFICIENT_SUFFIXES[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
     rows += [(f"T.{motion}", str(k), Power(k), _SPAN**-k) for motion in MOTIONS for k in range(degree + 1)]
     parameters, terms = [], []
     for slot, end, basis, scale in rows:
@@ -251,7 +251,7 @@ def _harmonic(column: int, k: int) -> Basis:
     return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else unity
 
 
-SHARED: tuple[SlotEffect, ...] = (
+SHARED_EFFECTS: tuple[SlotEffect, ...] = (
     RangeOffset(),
     RangeScale(),
     TransitOffset(),
@@ -263,7 +263,7 @@ SHARED: tuple[SlotEffect, ...] = (
 """Effects that a tracker with the source in the head and one with a steering mirror have in common; they act on the
 same slots of another chain.
 """
-MIRROR: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
+MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
     ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
@@ -289,9 +289,9 @@ are functions of the circle that rotates with the mirror, at half the rate of th
 
 def steering_mirror() -> Construction:
     """Construction with a beam-steering mirror and its 21 parameters."""
-    parameters = [p for effect in SHARED for p in effect.parameters]
-    terms = [t for effect in SHARED for t in effect.terms]
-    for name, kind, lobe, meaning in MIRROR:
+    parameters = [p for effect in SHARED_EFFECTS for p in effect.parameters]
+    terms = [t for effect in SHARED_EFFECTS for t in effect.terms]
+    for name, kind, lobe, meaning in MIRROR_PARAMETERS:
         parameters.append(Parameter(name, BOUNDS[kind][0], meaning, BOUNDS[kind][1], kind))
         terms.append(Term("elevation", lobe) if lobe else Term(name))
     return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
@@ -327,7 +327,7 @@ def construction(name: str, harmonics: int | None = None, degree: int | None = N
     return dh(2 if harmonics is None else harmonics, 2 if degree is None else degree)
 
 
-def built_as(name: str, harmonics: int, degree: int) -> Construction:
+def construction_with_orders(name: str, harmonics: int, degree: int) -> Construction:
     """Construction by its name, with orders that apply to the D-H chain only."""
     return dh(harmonics, degree) if name == "dh" else construction(name)
 
@@ -337,7 +337,11 @@ def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
     if name != "dh":
         return construction(name)
     ends = [p.rpartition("_") for p in parameters]
-    orders = [(SUFFIX.index(end) + 1) // 2 for front, _, end in ends if not front.startswith("T.") and end in SUFFIX]
+    orders = [
+        (COEFFICIENT_SUFFIXES.index(end) + 1) // 2
+        for front, _, end in ends
+        if not front.startswith("T.") and end in COEFFICIENT_SUFFIXES
+    ]
     powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
     return dh(max(orders, default=2), min(max(powers, default=2), HIGHEST_DEGREE))
 
@@ -349,7 +353,7 @@ def every_parameter_name() -> frozenset[str]:
     return frozenset(name for construction_ in built for name in construction_.names)
 
 
-def of_design(design: str) -> Construction:
+def construction_of_design(design: str) -> Construction:
     """Construction of an instrument by the origin of its beam, as declared in the set-up."""
     return steering_mirror() if design == "steering-mirror" else misalignment()
 
@@ -364,4 +368,4 @@ def declared_construction(recording: Recording) -> Construction:
         mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
         message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
         raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
-    return of_design(next(iter(designs.values()), ""))
+    return construction_of_design(next(iter(designs.values()), ""))

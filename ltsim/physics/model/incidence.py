@@ -22,7 +22,7 @@ from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
 LAW = SmrIncidence()
-EXACT = 1e-3 * MICROMETRE
+MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
 """Smallest standard deviation of an error in a bench test: a tenth of the resolution of interferometers."""
 
 
@@ -94,11 +94,11 @@ def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
     names = np.array(smrs_of(recording))
     tests = {test.reflector: test for test in recording.setup.bench}
     for name in dict.fromkeys(names[fixed].tolist()):
-        law = conditioned(tests.get(name, tests.get("")))
+        law = prior_given_bench_test(tests.get(name, tests.get("")))
         yield IncidenceErrors(name, (fixed & (names == name)).astype(np.float64), *law)
 
 
-def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
+def prior_given_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
     """Mean (p,) and root (p, p) of the covariance of the parameters of `smr-incidence`, given a bench test."""
     mean, root = np.zeros(len(LAW.parameters)), np.diag(LAW.spread)
     if test is None:
@@ -108,7 +108,7 @@ def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
     positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
     terms = -SmrIncidence.terms(np.abs(angle) * DEGREE, positive)
     used = np.arange(len(angle)) != middle
-    spread = np.maximum(sigma[used, None] * MICROMETRE, EXACT)
+    spread = np.maximum(sigma[used, None] * MICROMETRE, MIN_BENCH_SIGMA)
     sensitivity = (terms - terms[middle])[used] @ root / spread
     whitened = ((error - error[middle]) * MICROMETRE)[used] / spread[:, 0]
     contraction = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + sensitivity.T @ sensitivity))

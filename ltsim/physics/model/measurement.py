@@ -201,7 +201,7 @@ class MeasurementModel:
         return state.instrument[self.recording.instrument]
 
     @cached_property
-    def _nowhere(self) -> Sightings:
+    def _without_geometry(self) -> Sightings:
         """Sightings without geometry, collected once; nest normals on the floor plan."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
@@ -228,7 +228,7 @@ class MeasurementModel:
 
     def geometry(self, state: State) -> Sightings:
         """Sightings at `state`, without the data that only effects need."""
-        return self._nowhere.at(state.position, state.rotation, state.points)
+        return self._without_geometry.at(state.position, state.rotation, state.points)
 
     def extra_design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the readings per unit of each additional parameter."""
@@ -308,11 +308,11 @@ def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Boo
     raw[flat, 0] = range_ * np.abs(cosine)
 
 
-UPRIGHT = 5 * DEGREE
+MAX_AXIS_SPREAD = 5 * DEGREE
 """Largest spread of the axes of instruments on tripods [rad]; its cosine is compared with the length of their mean."""
-PLACES = 3
+MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
-ROUGH = 3 * DEGREE
+PLAN_ACCURACY = 3 * DEGREE
 """Accuracy [rad] of directions on a floor plan: frames that agree within it are considered equal."""
 
 
@@ -321,7 +321,7 @@ def has_plan(recording: Recording) -> bool:
     stations = [recording.station_setup(name) for name in recording.stations]
     has_control = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
     placed = sum(station.position_mm is not None for station in stations)
-    return has_control or placed >= PLACES or any(station.yaw_deg is not None for station in stations)
+    return has_control or placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
@@ -337,7 +337,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     turn = _by_positions([s.position_mm for s in setups], position, rotation)
     if turn is None:
         turn = _by_yaws([s.yaw_deg for s in setups], rotation)
-    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < ROUGH:
+    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_ACCURACY:
         return np.eye(3)
     return turn
 
@@ -345,12 +345,12 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 def _by_positions(places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
     """Rotation from approximate coordinates of three or more stations; levels determine the vertical far better."""
     given = [i for i, p in enumerate(places) if p is not None]
-    if len(given) < PLACES:
+    if len(given) < MIN_PLAN_POSITIONS:
         return None
     plan = np.array([places[i] for i in given], dtype=np.float64) * MILLIMETRE
     axis = rotation[given, :, 2].mean(axis=0)
     level, here = np.eye(3), position[given]
-    if np.linalg.norm(axis) > np.cos(UPRIGHT):
+    if np.linalg.norm(axis) > np.cos(MAX_AXIS_SPREAD):
         level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
         here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
     try:

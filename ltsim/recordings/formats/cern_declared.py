@@ -19,9 +19,9 @@ from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CC = FACTOR["cc"]
-FIXED = 1e-7
+FIXED_SIGMA_M = 1e-7
 """Standard deviation [m] of a fixed coordinate."""
-POINTS: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
+FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
 """Coordinates that are fixed, by the keyword of a point."""
 SIGMAS = ("SX", "SY", "SZ")
 TURNED = ("BEAR", "SLOPE", "ROLL", "HDEFL")
@@ -98,7 +98,7 @@ class DeclaredPoint:
     @property
     def is_fixed(self) -> bool:
         """True if the point is fixed along all axes, so that further observations are ignored."""
-        return bool(np.all(np.diag(self.information) >= 0.5 * FIXED**-2))
+        return bool(np.all(np.diag(self.information) >= 0.5 * FIXED_SIGMA_M**-2))
 
     @property
     def is_placeholder(self) -> bool:
@@ -119,9 +119,9 @@ def point_of(keyword: str, words: Words) -> tuple[str, DeclaredPoint]:
     """Name and point of a line in a block of points; raises RecordError."""
     name, place = _named_place(words, "a point needs a name and three coordinates")
     point = DeclaredPoint(place)
-    axes = np.array([axis in POINTS[keyword] for axis in "xyz"])
+    axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
     if axes.any():
-        point.add(place, np.eye(3) * FIXED**2, axes)
+        point.add(place, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:
         _read_precision(point, [token.upper() for token in words.tokens[4:]], words.where)
     return name, point
@@ -154,7 +154,7 @@ def _read_precision(point: DeclaredPoint, words: list[str], where: SourceLocatio
     declared = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMAS}
     sigma = np.array([where.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMAS])
     if declared:
-        point.add(point.place, np.diag(np.fmax(sigma, FIXED) ** 2), np.isfinite(sigma))
+        point.add(point.place, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
 
 
 def _matrix(word: str, where: SourceLocation) -> Floats:

@@ -25,7 +25,15 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import EARTH, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, as_title, read_lines, shown
-from ltsim.recordings.formats.cern_declared import FIXED, POINTS, DeclaredPoint, Polar, Words, observed_point, point_of
+from ltsim.recordings.formats.cern_declared import (
+    FIXED_AXES,
+    FIXED_SIGMA_M,
+    DeclaredPoint,
+    Polar,
+    Words,
+    observed_point,
+    point_of,
+)
 from ltsim.recordings.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
@@ -135,7 +143,7 @@ def _begin(keyword: str, rest: Words, file: _File) -> None:
         _begin_setup(rest, file)
     elif keyword == "V0":
         _begin_set(rest, file)
-    elif keyword not in (*OPTIONS, *POINTS, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
+    elif keyword not in (*OPTIONS, *FIXED_AXES, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
         file.skipped.setdefault(keyword, 0)
 
 
@@ -174,7 +182,7 @@ def _line(keyword: str, words: Words, file: _File) -> bool:
     """Processing of a line of the current block; returns False if blocks of this kind are not supported."""
     if keyword in ("TITR", ""):
         file.title += words.tokens
-    elif keyword in POINTS:
+    elif keyword in FIXED_AXES:
         name, point = point_of(keyword, words)
         if name in file.points:
             raise words.where.error(f"the point {name} is declared twice")
@@ -304,8 +312,8 @@ class _Plane:
             return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}
         place, covariance = point.estimate
         keys: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
-        keys["known_sigma_mm"] = FIXED / MILLIMETRE
-        if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+        keys["known_sigma_mm"] = FIXED_SIGMA_M / MILLIMETRE
+        if not all(abs(covariance[k, k] / FIXED_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
             keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
         return keys if axes == "xyz" else keys | {"approximate_mm": self.place(point.place)}
 

@@ -25,10 +25,10 @@ from ltsim.recordings.formats.gama_network import (
     GamaPoint,
     covariances,
     differences_of,
+    drop_undetermined_heights,
     lengths_of,
     named,
     shared_errors,
-    take_plan,
 )
 from ltsim.recordings.pointings import NAN, Observed, merged, recording_of, settled_heights
 from ltsim.recordings.recording import Recording
@@ -284,7 +284,7 @@ def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
 
 
 def _finished(network: GamaNetwork) -> Recording:
-    take_plan(network)
+    drop_undetermined_heights(network)
     gauge, observed = lengths_of(network)
     pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
     no_place = "left out: a recording has no place for it"

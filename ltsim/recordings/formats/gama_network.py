@@ -72,7 +72,7 @@ class GamaNetwork:
         return name
 
 
-def take_plan(network: GamaNetwork) -> None:
+def drop_undetermined_heights(network: GamaNetwork) -> None:
     """Removal of height observations that are neither fixed nor adjusted.
 
     Their heights are held fixed, as Gama does.
@@ -132,9 +132,9 @@ def named(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifferenc
         yield difference.model_copy(update={"name": numbered(difference.called, number)}) if number else difference
 
 
-MOST_SHARED = 500
+MAX_SHARED = 500
 """Largest number of correlated observations in a file: each shared error is an unknown of the adjustment."""
-EQUAL = 1e-6
+EIGENVALUE_TOLERANCE = 1e-6
 """Eigenvalue of a correlation matrix that counts as zero, and relative difference up to which two count as equal."""
 
 
@@ -214,9 +214,9 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     sigma = np.sqrt(numbers[diagonal])
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
-    if before + len(sigma) > MOST_SHARED:
+    if before + len(sigma) > MAX_SHARED:
         message = (
-            f"more than {MOST_SHARED} observations are correlated, expected fewer; give variances alone with band 0"
+            f"more than {MAX_SHARED} observations are correlated, expected fewer; give variances alone with band 0"
         )
         raise block.where.error(message)
     correlation = np.zeros((len(sigma),) * 2)
@@ -227,9 +227,9 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     for first in np.unique(np.argmax(linked, axis=1)).tolist():
         if len(group := np.flatnonzero(linked[first])) > 1:
             values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
-            if values[0] < EQUAL:
+            if values[0] < EIGENVALUE_TOLERANCE:
                 raise block.where.error("a <cov-mat> that is no covariance, expected one that is positive definite")
-            more = values > values[0] * (1.0 + EQUAL)
+            more = values > values[0] * (1.0 + EIGENVALUE_TOLERANCE)
             factors = np.zeros((len(sigma), int(more.sum())))
             factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
             reach.append(factors)

@@ -13,7 +13,7 @@ from ltsim.recordings.tables.sheets import Row, Sheet
 from ltsim.recordings.transcription_errors import FULL_RADIANS, SHORTEST_MM
 
 SAMPLE = 400
-MOST_TRIED = 20
+MAX_TRIED = 20
 """Largest number of assignments of columns that are tried on the whole sheet, most likely first."""
 SAMPLE_CELLS = 100_000
 """Number of cells, from the first rows of a table, that the suggestions are based on."""
@@ -38,7 +38,7 @@ def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
     titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
     header = f"the header {shown(', '.join(titles), 80)}" if named else "a table without a header"
     advised = _advised(titles, [row for row in body if len(row) == width][:SAMPLE])
-    advice = next(filter(serves, advised[:MOST_TRIED]), None)
+    advice = next(filter(serves, advised[:MAX_TRIED]), None)
     if advice is not None:
         return f'{header} does not say what its columns hold; say it, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"

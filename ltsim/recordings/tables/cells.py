@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import LONGEST_NUMBER, NUMBER, is_number
+from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER, is_number
 
 FACES = {
     **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
@@ -19,7 +19,7 @@ FACES = {
 }
 T = TypeVar("T")
 DAY = timedelta(days=1)
-LONGEST = 60
+MAX_VALUE_LENGTH = 60
 """Largest number of characters of a cell that is tested as a number or an angle."""
 _DEGREES, _MINUTES = r"°|º|˚|\^|\*|deg|d", r"'|′|’|‘|´|`|ʹ|min|m"
 _SECONDS = rf"\"|″|”|“|ʺ|(?:{_MINUTES})(?:{_MINUTES})|sec|s"
@@ -67,7 +67,9 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 
 def is_value(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
-    return len(text) <= LONGEST and (is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None)
+    return len(text) <= MAX_VALUE_LENGTH and (
+        is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None
+    )
 
 
 def is_marked(text: str) -> bool:
@@ -81,7 +83,7 @@ def number(text: str, grouping: str = "") -> Decimal | None:
     `grouping` is the thousands separator of the sheet.
     """
     text = text.strip()
-    if len(text) > LONGEST:
+    if len(text) > MAX_VALUE_LENGTH:
         return None
     bare = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
     return Decimal(bare) if is_number(bare) else None
@@ -90,7 +92,7 @@ def number(text: str, grouping: str = "") -> Decimal | None:
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
     """Floating-point numbers (n,) of a column, NaN for an empty cell; None unless all are decimals in plain ASCII."""
     whole = "".join(texts)
-    if max(map(len, texts), default=0) > LONGEST_NUMBER or not _DIGITS.fullmatch(whole):
+    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGITS.fullmatch(whole):
         return None
     if "e" in whole.lower() and not all(map(NUMBER.fullmatch, filter(None, texts))):
         return None
@@ -116,7 +118,7 @@ def quantity(text: str, grouping: str = "") -> Decimal | None:
 
 def packed(text: str) -> Decimal | None:
     """Degrees of a cell that packs minutes and seconds into decimals (``33.120747``); None for another cell."""
-    parts = _PACKED.fullmatch(text.strip()) if len(text) <= LONGEST else None
+    parts = _PACKED.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
     if parts is None:
         return _sexagesimal(text)
     sign, degrees, rest = parts.groups(default="")
@@ -126,7 +128,7 @@ def packed(text: str) -> Decimal | None:
 
 def _sexagesimal(text: str) -> Decimal | None:
     """Degrees of an angle in degrees, minutes and seconds, or degrees and minutes; None for anything else."""
-    if len(text) > LONGEST:
+    if len(text) > MAX_VALUE_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
     parts = _SEXAGESIMAL.fullmatch(text) or _TO_MINUTES.fullmatch(text)

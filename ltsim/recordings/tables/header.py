@@ -60,7 +60,7 @@ WORDS = {
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
-ALLOWED = {
+ROLE_UNITS = {
     **dict.fromkeys((*HORIZONTAL, *VERTICAL), ANGLES),
     **dict.fromkeys((*DISTANCE, *PLACE, *HEIGHTS, SIGMA, "sigma_distance_mm"), LENGTHS),
     **dict.fromkeys((f"sigma_{axis}_mm" for axis in PLACE), LENGTHS),
@@ -71,16 +71,16 @@ ALLOWED = {
     "relative_humidity_pct": ("%",),
 }
 """Permitted units by role; a column in another unit does not have the role."""
-WEAK = ("nr", "nummer", "no", "id")
+FALLBACK_TARGET_TITLES = ("nr", "nummer", "no", "id")
 """Titles that mean the target if no other title does."""
 MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
-LONGEST_TITLE = 80
+MAX_TITLE_LENGTH = 80
 """Largest number of characters of a cell that is a possible title."""
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
 MARKS = ("°", "'", '"')
-PART = "part"
+PART_ROLE = "part"
 """Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
 _PARTS = tuple(
     re.compile(rf"(.*?)[\s_.-]*[\[({{]?\s*(?:{words})\s*[\])}}]?", re.IGNORECASE)
@@ -140,11 +140,15 @@ def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
         assigned = column
         if assigned.face and assigned.role not in both:
             assigned = _column(assigned.place, assigned.title, faced=False)
-        if assigned.role == "target" and words_of(assigned.title)[0] in WEAK and not named <= {*WEAK}:
+        if (
+            assigned.role == "target"
+            and words_of(assigned.title)[0] in FALLBACK_TARGET_TITLES
+            and not named <= {*FALLBACK_TARGET_TITLES}
+        ):
             assigned = replace(assigned, role="")
         if assigned.role and ((assigned.role, assigned.face) in taken or (polar and assigned.role in (*PLACE, SIGMA))):
             assigned = replace(assigned, role="", face=0)
-        if assigned.role != PART:
+        if assigned.role != PART_ROLE:
             taken.add((assigned.role, assigned.face))
         columns.append(assigned)
     return distinct_titles(columns)
@@ -163,7 +167,7 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
 
 def _part(form: re.Pattern[str], title: str) -> re.Match[str] | None:
     """Match of a title that ends with a unit; None if there is none or the title is too long."""
-    return form.fullmatch(title) if len(title) <= LONGEST_TITLE else None
+    return form.fullmatch(title) if len(title) <= MAX_TITLE_LENGTH else None
 
 
 def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
@@ -183,7 +187,7 @@ def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
             places = tuple(range(place + 1, place + len(names)))
             joined[place] = TableColumn(place, column.title, role, "deg", parts=places)
             for other in places:
-                joined[other] = TableColumn(other, columns[other].title, PART)
+                joined[other] = TableColumn(other, columns[other].title, PART_ROLE)
     return joined
 
 
@@ -216,7 +220,7 @@ def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
 @lru_cache(maxsize=8192)
 def words_of(title: str) -> tuple[str, str]:
     """Words of a title without punctuation and accents, and its unit ('' if it has none)."""
-    if len(title) > LONGEST_TITLE:
+    if len(title) > MAX_TITLE_LENGTH:
         return "", ""
     name, unit = _titled(title)
     if not unit:
@@ -250,7 +254,7 @@ def _column(place: int, title: str, *, faced: bool = True) -> TableColumn:
     if numbered is not None:
         role = role_of(numbered.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
-    if role in ALLOWED and unit and unit not in ALLOWED[role]:
+    if role in ROLE_UNITS and unit and unit not in ROLE_UNITS[role]:
         # surveyors' lists have heights in a column called elevation
         role, face = ("z" if role == "elevation" and unit in LENGTHS else ""), 0
     return TableColumn(place, title, role, unit, face)
@@ -271,7 +275,7 @@ def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn
         if place is None:
             return None
         assigned[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face, tuple(parts))
-        assigned |= {part: TableColumn(part, fields[part], PART) for part in parts}
+        assigned |= {part: TableColumn(part, fields[part], PART_ROLE) for part in parts}
     kinds = {_kind(column.role) for column in assigned.values()}
     rest = [c if _kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
     return [assigned.get(c.place, c) for c in rest]
@@ -289,8 +293,8 @@ def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, s
             message = f"--columns {shown(part, 60)}: expected ROLE=HEADER[UNIT] with a role among {', '.join(MAPPED)}"
             raise RecordError(message, file=file)
         name, unit = _titled(title.strip())
-        if unit and unit not in ALLOWED.get(stem, ()):
-            units = ", ".join(ALLOWED.get(stem, ("none",)))
+        if unit and unit not in ROLE_UNITS.get(stem, ()):
+            units = ", ".join(ROLE_UNITS.get(stem, ("none",)))
             raise RecordError(f"--columns {shown(part, 60)}: a unit of {stem} can be {units}", file=file)
         roles.append((stem, face, name, unit))
     return roles

@@ -34,10 +34,10 @@ from ltsim.recordings.pointings import indices
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exactly
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exact_function
 from ltsim.recordings.transcription_errors import SHORTEST_MM
 
-FULL, QUARTER = 360, 90
+FULL_CIRCLE, QUARTER = 360, 90
 """Full and quarter circle [deg]."""
 TALL_M = (0.2, 3.0)
 """Range [m] of heights of instruments and targets above their marks, which distinguishes metres from millimetres."""
@@ -67,16 +67,16 @@ class ColumnInterpretation:
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
         def azimuth(turn: Any, degree: Any) -> Any:
-            return -turn % (FULL * degree) if clockwise else turn
+            return -turn % (FULL_CIRCLE * degree) if clockwise else turn
 
         def elevation(rise: Any, degree: Any) -> Any:
             up = QUARTER * degree - rise if zenith else rise
-            return np.where(up < -QUARTER * degree, up + FULL * degree, up)
+            return np.where(up < -QUARTER * degree, up + FULL_CIRCLE * degree, up)
 
         polar = [
-            exactly(printed.of(DISTANCE), ratio(self.length_unit, "mm")),
-            exactly(printed.of(HORIZONTAL), ratio(self.horizontal_unit, "deg"), azimuth),
-            exactly(printed.of(VERTICAL), ratio(self.vertical_unit, "deg"), elevation),
+            exact_function(printed.of(DISTANCE), ratio(self.length_unit, "mm")),
+            exact_function(printed.of(HORIZONTAL), ratio(self.horizontal_unit, "deg"), azimuth),
+            exact_function(printed.of(VERTICAL), ratio(self.vertical_unit, "deg"), elevation),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 

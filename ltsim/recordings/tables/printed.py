@@ -23,11 +23,11 @@ from ltsim.recordings.tables.header import PLACE, READINGS, TableColumn
 Digits = NDArray[np.bytes_]
 """Numbers (n,) as decimal digits in ASCII; empty for a missing number."""
 T = TypeVar("T")
-EXACT = 2**51
+MAX_EXACT = 2**51
 """Magnitude up to which a product of floating-point numbers is rounded to the correct integer."""
-LARGEST_TURN = 720.0
+MAX_ANGLE_SUM = 720.0
 """Largest magnitude [deg] of sums of angles."""
-BLOCK = 8192
+ROWS_PER_BATCH = 8192
 """Number of rows that are converted together, which bounds the memory of intermediate results."""
 
 
@@ -46,12 +46,12 @@ def as_floats(digits: Digits) -> Floats:
 
 def as_decimals(digits: Digits) -> Iterator[Decimal | None]:
     """Exact numbers; None for missing ones."""
-    for start in range(0, len(digits), BLOCK):
-        for text in digits[start : start + BLOCK].astype(np.str_).tolist():
+    for start in range(0, len(digits), ROWS_PER_BATCH):
+        for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
             yield Decimal(text) if text else None
 
 
-def exactly(
+def exact_function(
     digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
     """Nearest floating-point numbers (n,) to a function of products with a factor; NaN for missing ones.
@@ -72,7 +72,7 @@ def exactly(
 def _integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
     """Numbers (n,) without decimal point, times a multiplier: int64 if floats are exact, otherwise Python integers."""
     values = as_floats(digits)
-    if unit * multiplier * int(np.abs(values).max(initial=LARGEST_TURN)) < EXACT:
+    if unit * multiplier * int(np.abs(values).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT:
         return np.rint(values * 10**places).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
         whole = [int(number.scaleb(places)) * multiplier for number in as_decimals(digits) if number is not None]
@@ -165,7 +165,7 @@ def _chained(columns: Iterable[list[T]]) -> list[T]:
     return list(chain.from_iterable(columns))
 
 
-def codes(values: Iterable[T]) -> tuple[list[T], Ints]:
+def indices_by_value(values: Iterable[T]) -> tuple[list[T], Ints]:
     """Distinct values in order of appearance, and the index of each value among them."""
     places: dict[T, int] = {}
     indices = [places.setdefault(value, len(places)) for value in values]

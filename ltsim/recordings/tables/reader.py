@@ -18,15 +18,15 @@ from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import ALLOWED, DISTANCE, TableColumn, has_named_coordinates
+from ltsim.recordings.tables.header import DISTANCE, ROLE_UNITS, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.meaning import ColumnInterpretation, readings_of, sigmas_of_places
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, codes, decimal_places
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
 from ltsim.recordings.tables.rows import header_of, table_of
 from ltsim.recordings.tables.setups import (
     common_names,
+    connecting_occupations,
     heights_not_applied,
     named_by_place,
-    occupied,
     over_marks,
     split_occupations,
 )
@@ -82,7 +82,7 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
 
 
 SETUP = "setup.toml"
-MOST_SHOWN = 3
+MAX_SHOWN = 3
 HEADS_SIGMA_MM = 1.0
 """Standard deviation [mm] of the height of a head on one tripod or pillar each time it is set up."""
 
@@ -147,13 +147,13 @@ def assembled(
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.heads_sigma_mm or HEADS_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
-        labels = _over(occupied(table), labels)
+        labels = _merged_labels(connecting_occupations(table), labels)
     if timed and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
     remarks = [table.notes, meaning.notes, rounds, over, reduced, timed, further, unused, _unread(table)]
-    targets, target = codes(printed.target)
+    targets, target = indices_by_value(printed.target)
     _, first = np.unique(target, return_index=True)
     for name, row in zip(targets, first.tolist(), strict=True):
         printed.place(row).name(name, "target")
@@ -172,7 +172,7 @@ def assembled(
     )
 
 
-def _over(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
+def _merged_labels(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
     """Labels of both mappings; in each row a non-empty label of `above` has priority."""
     both = {
         name: [upper or other for upper, other in zip(above[name], column, strict=True)] if name in above else column
@@ -264,7 +264,7 @@ def _factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
     if wanted not in ("mm", "arcsec"):
         return 1.0
     unit = _unit(column, meaning)
-    return float(ratio(unit, wanted)) if unit in (*ALLOWED[column.role], "dms") else 1.0
+    return float(ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
 
 
 def _unread(table: PointingTable) -> list[str]:
@@ -273,8 +273,8 @@ def _unread(table: PointingTable) -> list[str]:
         alone = "the table names no station, so that one station S1 is assumed for its pointings"
         notes.append(f"{alone} (--hint station=NAME)")
     if table.unread:
-        examples = "; ".join(table.unread[:MOST_SHOWN])
-        more = len(table.unread) - MOST_SHOWN
+        examples = "; ".join(table.unread[:MAX_SHOWN])
+        more = len(table.unread) - MAX_SHOWN
         notes.append(f"free text is left out: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes
 
@@ -284,7 +284,7 @@ TRACKER_RANGE_M = 160.0
 COARSE_M = 0.5e-4
 """Last digit [m] of ranges from which they are too coarse for a laser tracker: trackers report micrometres."""
 
-LEAST_RANGES = 6
+MIN_RANGES = 6
 """Smallest number of ranges whose last digit is used: fewer may all end in zeros by chance."""
 
 
@@ -304,7 +304,7 @@ def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readin
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
     columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE]
     places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
-    if len(places) < LEAST_RANGES:
+    if len(places) < MIN_RANGES:
         return ""
     digit = 10.0 ** -int(places.max()) * FACTOR[meaning.length_unit]
     if digit > COARSE_M:

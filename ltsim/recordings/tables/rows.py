@@ -30,10 +30,10 @@ from ltsim.recordings.tables.header import (
     role_of,
     words_of,
 )
-from ltsim.recordings.tables.printed import BLOCK, Digits, PointingTable, PrintedPointings, as_digits, joined
+from ltsim.recordings.tables.printed import ROWS_PER_BATCH, Digits, PointingTable, PrintedPointings, as_digits, joined
 from ltsim.recordings.tables.sheets import Row, Sheet
 
-LARGEST = 10**9
+MAX_READING = 10**9
 """Magnitude below which all readings must be, in any unit."""
 
 
@@ -107,8 +107,8 @@ class RunReader:
             [intern(name or "S1") for name in named],
             list(map(intern, text.get("target", nothing))),
             [face] * len(run) if face else faces,
-            _both(text.get("date"), text.get("time")) or [*nothing],
-            _both(text.get("date"), text.get("round")) or [*nothing],
+            _joined_cells(text.get("date"), text.get("time")) or [*nothing],
+            _joined_cells(text.get("date"), text.get("round")) or [*nothing],
             [self.sheet.grouping] * len(run),
             numbers,
             further,
@@ -126,7 +126,7 @@ class RunReader:
         """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise each cell converted."""
         values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.grouping else None
         least = 0.0 if column.role in DISTANCE else -np.inf
-        if values is not None and not np.any((np.abs(values) >= LARGEST) | (values <= least)):
+        if values is not None and not np.any((np.abs(values) >= MAX_READING) | (values <= least)):
             return as_digits(texts)
         converted = [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
         if not column.unit and any(map(cells.is_marked, texts)):
@@ -141,7 +141,7 @@ class RunReader:
         if packed and number is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise where.error(f"found '{shown(text)}', expected {what}", shown(column.title))
-        if number is None or not abs(number) < LARGEST:
+        if number is None or not abs(number) < MAX_READING:
             raise where.error(f"found '{shown(text)}', expected a number", shown(column.title))
         if column.role in DISTANCE and not number > 0:
             what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
@@ -166,16 +166,16 @@ def _padded(fields: Sequence[str], width: int) -> Sequence[str]:
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
-def _both(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
+def _joined_cells(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
     """Cells of two columns joined by a blank; None if the table has neither column."""
     if first is None or second is None:
         return list(first or second or ()) or None
     return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]
 
 
-POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
+POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns in a table without header whose lines are names and three numbers."""
-LEAST_TITLES = 2
+MIN_TITLES = 2
 """Smallest number of columns in a header of readings: two angles, or an angle and a distance."""
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
@@ -194,7 +194,7 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
             whole.add(table, sheet.file)
             parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
-            raise RecordError(unnamed(sheet, partial(_serves, sheet, hints)), file=sheet.file)
+            raise RecordError(unnamed(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
     if not any(map(len, parts)):
         unread = f": {whole.unread[0]} has no number where its header names readings" if whole.unread else ""
         raise RecordError(f"holds no pointings{unread or ' below its header'}", file=file)
@@ -207,7 +207,7 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] 
     """Columns that a row names as a header; None if it is no header."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
-    if count_of_roles(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
+    if count_of_roles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = columns_of(row.fields)
     return columns if is_header(columns) else None
@@ -253,7 +253,7 @@ class _SheetReader:
     def read_positional(self) -> PointingTable:
         """Pointings of lines with station, target and three numbers; lines shorter by one have no station."""
         first = next((row for row in self.sheet.rows if not row.comment), None)
-        roles = POSITIONS[1:] if first is not None and len(first.fields) == 4 else POSITIONS
+        roles = POSITIONAL_ROLES[1:] if first is not None and len(first.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
             if not row.comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
@@ -290,7 +290,7 @@ class _SheetReader:
                 self.sheet.check_whole(len(self.columns), strict=self.table.positional)
                 self._pointing(row)
         self._convert()
-        self.table.notes += _doubled(self.columns)
+        self.table.notes += _duplicate_role_warnings(self.columns)
         self.table.pointings = joined(self.parts) if self.parts else PrintedPointings()
         return self.table
 
@@ -312,7 +312,7 @@ class _SheetReader:
             self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _pointing(self, row: Row) -> None:
-        if len(self.run.line) == BLOCK:
+        if len(self.run.line) == ROWS_PER_BATCH:
             self._convert()
         width = len(self.columns)
         if len(row.fields) > width and any(row.fields[width:]):
@@ -337,11 +337,15 @@ class _SheetReader:
         self.table.nameless |= reader.nameless
         self.table.marked |= reader.marked
         self.parts.append(joined(converted))
-        while len(self.parts) > 1 and 2 * len(self.parts[-1]) > len(self.parts[-2]) and len(self.parts[-2]) < BLOCK:
+        while (
+            len(self.parts) > 1
+            and 2 * len(self.parts[-1]) > len(self.parts[-2])
+            and len(self.parts[-2]) < ROWS_PER_BATCH
+        ):
             self.parts[-2:] = [joined(self.parts[-2:])]
 
 
-def _doubled(columns: Sequence[TableColumn]) -> list[str]:
+def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     """Warnings about columns whose role is already taken by another column."""
     taken = {c.role: c.title for c in columns if c.role}
     lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]
@@ -352,7 +356,7 @@ def _doubled(columns: Sequence[TableColumn]) -> list[str]:
     ]
 
 
-def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
+def _is_readable(sheet: Sheet, hints: Hints, columns: str) -> bool:
     """True if a sheet can be read with an assignment of columns."""
     hints = replace(hints, columns=columns)
     try:

@@ -23,16 +23,16 @@ from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HEIGHTS, HORIZONTAL, PLACE, VERTICAL
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, codes
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, indices_by_value
 
-SAME_SHARE = 3e-4
+SAME_PLACE_RATIO = 3e-4
 """Largest distance between rows at one position, relative to the largest length: 1 mm at 3 m, more than the
 repeatability of a robot.
 """
-SAME_ANGLE, SAME_RADIAN = 0.02, SAME_SHARE
+SAME_ANGLE, SAME_RADIAN = 0.02, SAME_PLACE_RATIO
 """Tolerances [deg or gon, rad] between directions to the same position."""
 RADIANS = 7.0
-LEAST_ROWS = 3
+MIN_ROWS = 3
 
 
 def named_by_place(table: PointingTable, file: object) -> PointingTable:
@@ -41,11 +41,11 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
     Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
-    if len(names) > 1 or (names != {""} and len(table.pointings) < LEAST_ROWS):
+    if len(names) > 1 or (names != {""} and len(table.pointings) < MIN_ROWS):
         return table
     places = _places(table)
     count = int(places.max()) + 1
-    if names != {""} and (count < LEAST_ROWS or len(stations) > 1):
+    if names != {""} and (count < MIN_ROWS or len(stations) > 1):
         return table
     if len(stations) > 1:
         message = "names no points, and nothing tells which targets of its set-ups are the same; add a column target"
@@ -84,20 +84,20 @@ def _places(table: PointingTable) -> Ints:
 def _tolerance(role: str, largest: float, lengths: float) -> float:
     if role in (*HORIZONTAL, *VERTICAL):
         return SAME_ANGLE if largest > RADIANS else SAME_RADIAN
-    return SAME_SHARE * max(lengths, largest, 1e-9)
+    return SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
 
 
-MOST_SHOWN = 4
-LEAST_LINES = 4
-CLEARLY = 0.5
+MAX_SHOWN = 4
+MIN_LINES = 4
+MAX_CLOSURE_RATIO = 0.5
 """Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
 are not applied.
 """
-TURNED = 1e-3
+MIN_CIRCLE_ROTATION = 1e-3
 """Smallest difference [rad] between the directions of two rounds that counts as a rotated circle."""
-BEYOND_NOISE = 6.0
+MIN_ROTATION_SIGMAS = 6.0
 """Smallest difference in standard deviations of the directions, if given, that counts as a rotated circle."""
-CLOSES_M = 0.02
+MAX_CLOSURE_M = 0.02
 """Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
 decimetres.
 """
@@ -110,10 +110,10 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
     The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
     Names that differ in case, blanks or leading zeros are one name if no set-up has both.
     """
-    sightings, row = codes(zip(printed.station, printed.target, strict=True))
+    sightings, row = indices_by_value(zip(printed.station, printed.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
-    bare = [_without(station, target) for station, target in sightings]
+    bare = [_without_station_name(station, target) for station, target in sightings]
     if all(bare) and len({*stations}) > 1 and not _shared(stations, targets) and _shared(stations, bare):
         notes.append(f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{bare[0]}'")
         targets = bare
@@ -131,13 +131,13 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
         for name in spellings[1:]
     }
     if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MOST_SHOWN)
+        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_SHOWN)
         notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
 
-def _without(station: str, target: str) -> str:
+def _without_station_name(station: str, target: str) -> str:
     """Name of a target without the name of its set-up; empty if it does not contain it."""
     if len(target) > MAX_NAME:  # which is refused later
         return ""
@@ -164,11 +164,11 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     """
     printed = table.pointings
     occupations: Sequence[Key]
-    occupations, of_occupation = codes(zip(printed.station, _occupations(table), strict=True))
+    occupations, of_occupation = indices_by_value(zip(printed.station, _occupations(table), strict=True))
     distinct, code = occupations, of_occupation
     turned = False
     if table.column(("round",)) is not None:
-        by_round, of_round = codes(zip(of_occupation.tolist(), printed.round, strict=True))
+        by_round, of_round = indices_by_value(zip(of_occupation.tolist(), printed.round, strict=True))
         turned = _is_turned(table, of_occupation, of_round, readings[:, 1], sigma)
         if turned:
             distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
@@ -209,8 +209,8 @@ def _occupations(table: PointingTable) -> list[str]:
 def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
     """True if the directions of a round differ from the first ones to the same targets in its occupation.
 
-    The median difference counts, so that a single gross error has no effect. It must exceed `TURNED`, or `BEYOND_NOISE`
-    times the noise in the table.
+    The median difference counts, so that a single gross error has no effect. It must exceed `MIN_CIRCLE_ROTATION`, or
+    `MIN_ROTATION_SIGMAS` times the noise in the table.
     """
     printed = table.pointings
     first: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -223,7 +223,7 @@ def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimut
             gaps.setdefault(key, []).append((gap, np.hypot(noise, before_noise)))
     for pairs in gaps.values():
         gap, noise = np.median(np.array(pairs), axis=0).tolist()
-        if abs(gap) > min(TURNED, TURNED if np.isnan(noise) else BEYOND_NOISE * noise):
+        if abs(gap) > min(MIN_CIRCLE_ROTATION, MIN_CIRCLE_ROTATION if np.isnan(noise) else MIN_ROTATION_SIGMAS * noise):
             return True
     return False
 
@@ -281,7 +281,7 @@ def _closes(table: PointingTable, readings: Floats) -> bool:
         return False
     length, rise = np.abs(np.array(misses)).T
     heights = rise[np.isfinite(rise)]
-    return float(np.median(length)) < CLOSES_M and (not len(heights) or float(np.median(heights)) < CLOSES_M)
+    return float(np.median(length)) < MAX_CLOSURE_M and (not len(heights) or float(np.median(heights)) < MAX_CLOSURE_M)
 
 
 def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
@@ -289,7 +289,7 @@ def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
     return zip(table.mark, table.pointings.target, strict=True)
 
 
-def occupied(table: PointingTable) -> dict[str, list[str]]:
+def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
     """Occupations of marks that each pointing connects: those of one day, in one role.
 
     They apply to a table without a column of occupations.
@@ -318,11 +318,11 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
             lines.setdefault(line, []).append((up, other))
     mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
     misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
-    if len(misses) < LEAST_LINES:
+    if len(misses) < MIN_LINES:
         return []
     for kind in (np.median, np.max):
         without, applied = kind(misses, axis=0)
-        if not without < CLEARLY * applied:
+        if not without < MAX_CLOSURE_RATIO * applied:
             return []
     names = " and ".join(f"'{shown(c.title)}'" for c in table.columns if c.role in HEIGHTS)
     return [

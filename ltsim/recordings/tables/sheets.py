@@ -34,7 +34,7 @@ from ltsim.recordings.xml import check_part
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 WORKBOOK = b"PK\x03\x04"
 SEPARATORS = ("\t", ";", ",", " ")
-SAMPLE, SAMPLE_CHARACTERS = 400, 100_000
+SAMPLE_LINES, SAMPLE_CHARACTERS = 400, 100_000
 """Number of lines, and of characters in them, that decide on the separator."""
 
 
@@ -200,7 +200,7 @@ def _separator_of(lines: Sequence[str]) -> str:
 
     Lines with three columns have priority over those with two, and these over the number of columns.
     """
-    first = zip(lines[:SAMPLE], accumulate(map(len, lines[:SAMPLE]), initial=0), strict=False)
+    first = zip(lines[:SAMPLE_LINES], accumulate(map(len, lines[:SAMPLE_LINES]), initial=0), strict=False)
     sample = [line for line, before in first if before < SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
