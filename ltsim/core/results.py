@@ -247,7 +247,7 @@ class Table(ValueEquality):
             When a column is missing or a cell holds no number where one should be.
         """
         if text.count("\n") > LINES:
-            raise RecordError(f"has more than {LINES} lines, the most that is read", file=file)
+            raise RecordError(f"has more than {LINES} lines, the limit for reading", file=file)
         reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
             names = list(reader.fieldnames or ())

@@ -108,7 +108,7 @@ def check_writable(path: Path, *, folder: bool) -> None:
     """Check that a file, or a `folder`, can be written at a path; parent folders may be missing. Raises RecordError."""
     try:
         if path.is_dir() != folder and path.exists():
-            wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
+            wrong = "the path is a file, expected a folder" if folder else "the path is a folder, expected a file"
             raise RecordError(f"{wrong} to write to", file=path)
         if is_device(path):
             if not os.access(path, os.W_OK):

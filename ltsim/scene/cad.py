@@ -60,7 +60,7 @@ class CadFile:
     def read_as(self) -> str:
         """Description of the unit and the vertical axis that the file was read with."""
         kind = self.file.suffix[1:].upper()
-        unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} states"
+        unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.up} up"
 
     @property
@@ -78,13 +78,13 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
     if suffix not in SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
     if suffix in EXACT and unit is not None:
-        raise SetupError(f"{path}: {suffix[1:].upper()} states its own unit; leave out unit")
+        raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
     turned = up or ("y" if suffix in GLTF else "z")
     file_unit = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
     try:
         status = path.stat()
         if status.st_size > CAD_BYTES:
-            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the most that is read")
+            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the limit for reading")
         triangles = _triangles(path, status.st_mtime_ns, FACTOR[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
@@ -101,7 +101,7 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     if not len(corners):
         raise SetupError(
             f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is {factor:g} m; "
-            "state its unit, or export it anew"
+            "state its unit, or export it again"
         )
     settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
     settled.flags.writeable = False

@@ -216,7 +216,7 @@ def outline_error(outline: Floats) -> str:
     count, then = len(outline), np.roll(outline, -1, axis=0)
     same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
     if len(same):
-        return f"its corner {same[0] + 1} stands where the one before it stands"
+        return f"its corner {same[0] + 1} coincides with the corner before it"
     sides = shapely.linestrings(np.stack([outline, then], axis=1))
     first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
@@ -224,7 +224,7 @@ def outline_error(outline: Floats) -> str:
             return (
                 f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
             )
-    return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie in a line"
+    return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
 def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
@@ -269,7 +269,7 @@ def reason_against(
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
     if any(free.holds(place)[0] for free in keep_outs):
-        return "where the floor is kept free (floor.keep_outs, floor.doors)"
+        return "on floor that is kept free (floor.keep_outs, floor.doors)"
     return "inside an obstacle (workshop.obstacles)"
 
 

@@ -102,15 +102,15 @@ class Visibility:
         key, number = {
             Reason.RANGE: (
                 "range_min_mm" if range_ < limits.range_min else "range_max_mm",
-                f"{range_:.2f} m, {limits.range_min:g} to {limits.range_max:g} m can be measured",
+                f"{range_:.2f} m, expected {limits.range_min:g} to {limits.range_max:g} m",
             ),
             Reason.BELOW: (
                 "elevation_min_deg",
-                f"{elevation:.1f} deg, {limits.elevation_min / DEGREE:.4g} is the least",
+                f"{elevation:.1f} deg, the minimum is {limits.elevation_min / DEGREE:.4g} deg",
             ),
             Reason.ABOVE: (
                 "elevation_max_deg",
-                f"{elevation:.1f} deg, {limits.elevation_max / DEGREE:.4g} is the most",
+                f"{elevation:.1f} deg, the maximum is {limits.elevation_max / DEGREE:.4g} deg",
             ),
         }.get(code, ("", ""))
         return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]

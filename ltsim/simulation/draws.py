@@ -179,7 +179,7 @@ class TrialDraws:
         for effect, amount in on_noise:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
-                raise SetupError(f"effects: {effect.name} takes away more noise than there is; give larger values")
+                raise SetupError(f"effects: {effect.name} makes a variance of the noise negative; give larger values")
             sigma = np.sqrt(variance)
         return sigma
 

@@ -100,7 +100,7 @@ def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
         return tuple(lost)
     reasons = Counter(reason for line in table.kinds() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {counts}",)
+    return (f"{len(lost)} of {table.visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
 def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:

@@ -47,7 +47,7 @@ class GaugeFrame:
 def frame_of(gauge: ScenarioGauge) -> GaugeFrame:
     """Gauge frame with the lengths of a gauge.
 
-    Raises SetupError if a length is missing or repeated, or if no frame in space has these lengths.
+    Raises SetupError if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
     pairs = list(combinations(range(len(names)), 2))
@@ -58,8 +58,8 @@ def frame_of(gauge: ScenarioGauge) -> GaugeFrame:
     if abs(frame.length[worst] - lengths[worst]) > REALISED:
         a, b = names[first[worst]], names[second[worst]]
         has, wanted = frame.length[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
-        message = f"the nearest one has {has:.4f} mm between {a} and {b} instead of {wanted:.4f}"
-        raise SetupError(f"gauge: no frame in space has these lengths; {message}")
+        message = f"the nearest frame in space has {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
+        raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
 
@@ -67,14 +67,14 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
-            message = "the paper's gauge has four; state the lengths of another one as [[gauge.distance]]"
+            message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
             raise SetupError(f"gauge.targets: holds {len(names)} reflectors, but {message}")
         return list(TABLE_2[gauge.reading])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
         if len(key) != 2 or not key <= set(names) or key in certificates:
-            problem = "is there twice" if key in certificates else "is no pair of two of gauge.targets"
+            problem = "has two entries" if key in certificates else "is not a pair of different gauge.targets"
             raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
         certificates[key] = line.length_mm
     for a, b in pairs:

@@ -102,13 +102,15 @@ CURVE = Table(
     "curve.csv",
     "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
     (
-        *numbers(form=".4g", noncentrality="What the adjustment leaves of the cause."),
+        *numbers(form=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
         *numbers(form=".4g", largest_um="Largest change of a distance, mean of the injections."),
         *numbers(form=".4g", largest_urad="Largest change of an angle, mean of the injections."),
-        *numbers(injections="How many."),
+        *numbers(injections="Number of injections."),
         *numbers(
-            found="Told something that was not told before.", placed="... at its place.", named="... by its name.",
-            right="Name and place right in the first new finding.",
+            found="Number of injections with a new finding.",
+            placed="Those with a new finding at the right place.",
+            named="Those with a new finding of the right name.",
+            right="Those whose first new finding has the right name and place.",
         ),
         *numbers(form=".3f", found_low="", found_high="", placed_low="", placed_high="", named_low="", named_high=""),
     ),
@@ -126,7 +128,7 @@ class InjectionCurve(Result):
 
     def _lines(self) -> list[str]:
         reported = ", ".join(self.background) or "nothing"
-        lines = [f"{self.words}, put into the recording; told without it: {reported}"]
+        lines = [f"{self.words}, injected into the recording; findings without the injection: {reported}"]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: found {row['found']}, placed {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
@@ -171,7 +173,7 @@ class Injector:
         sigma = self.recording.sigma()
         added = cause.variance(self.space.sightings, sigma, values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
-            raise ModelError(f"{cause.name}: noise can be added to a recording, not taken away; give larger values")
+            raise ModelError(f"{cause.name} would reduce the noise of the recording; give larger values")
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
     def noncentrality(self, cause: Tunable, values: Floats) -> float:
@@ -190,7 +192,7 @@ class Injector:
     def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
         """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
         if isinstance(cause, Mistake):
-            raise ModelError(f"{cause.name} is made or not: it has no size that could be chosen")
+            raise ModelError(f"{cause.name} has no size; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(wanted)
         for _ in range(ROUNDS):
             noncentrality = self.noncentrality(cause, factor * values)
@@ -201,7 +203,9 @@ class Injector:
             if abs(noncentrality / wanted - 1.0) < CLOSE:
                 return factor * values
             factor *= float(np.clip(np.sqrt(wanted / noncentrality), 1e-3, 1e3))
-        raise ModelError(f"the network hides {cause.name} {cause.place}: at no sensible size it leaves {wanted:g}")
+        raise ModelError(
+            f"the network absorbs {cause.name} {cause.place}: no plausible size gives a noncentrality of {wanted:g}"
+        )
 
     def _peak(self, cause: Tunable, values: Floats) -> float:
         """Largest change of a reading, or standard deviation of added noise, divided by the sigma of the reading."""
@@ -218,12 +222,12 @@ class Injector:
         lengths = self.lengths(cause, values)
         if values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{words}: changes no reading; expected a place that is measured (after the time, where one is given)"
+                f"{words}: changes no reading; give a place that was measured, after the time if there is one"
             )
         if lengths.any():
             gauge = self.space.adjustment.problem.gauge
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
-                raise ModelError(f"{cause.name}: the lengths of scale bars cannot be changed, those of a gauge can")
+                raise ModelError(f"{cause.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
             made = with_certificates(made, certified + lengths * certified / gauge.length)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)

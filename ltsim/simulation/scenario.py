@@ -333,9 +333,9 @@ def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
         yield from _unknown_name(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
-            yield f"instruments.{shown(name)} stands nowhere; name it as the instrument of a station"
+            yield f"instruments.{shown(name)} is used at no station; name it as the instrument of a station"
     if "" not in scenario.trackers and scenario.instrument != ScenarioInstrument():
-        yield "instrument is stated but stands nowhere: every station names an instrument of its own"
+        yield "instrument is used at no station: every station names an instrument of its own"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
     (first, first_design), *others = designs.items()
     for name, other in others:
@@ -356,7 +356,7 @@ def _wrong_places(scenario: Scenario) -> Iterator[str]:
             yield f"{key}.position_mm is {list(place)}, {where}"
     for name, target in scenario.targets.items():
         if target.nest_normal is not None and not any(target.nest_normal):
-            yield f"targets.{name}.nest_normal is a vector without length"
+            yield f"targets.{name}.nest_normal has length 0"
 
 
 def _wrong_lengths(scenario: Scenario) -> Iterator[str]:

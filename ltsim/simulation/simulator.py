@@ -151,7 +151,7 @@ def _idle(work: Fieldwork, lengths: ReferenceLengths) -> Iterator[str]:
             continue
         if np.any(effect.gauge_design(lengths.first, lengths.second, work.sightings.points)):
             continue
-        yield f"{effect.name} changes nothing here"
+        yield f"{effect.name} changes no reading here"
 
 
 def _setup(work: Fieldwork) -> Setup:

@@ -28,7 +28,7 @@ INSTRUMENT = Table(
 )
 POINTS = Table(
     "points.csv",
-    "true positions of the targets, in the workshop's frame",
+    "true positions of the targets in the workshop frame",
     (*texts(target="name"), *numbers("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
 )
 

@@ -66,7 +66,7 @@ def _optimal_vertex(design: Floats, goal: Floats, near: Floats) -> Ints:
         along = design @ (np.sign(pull[leaving]) * inverse[:, leaving])
         along[met] = 0.0
         met[leaving] = _entering_row(residual, along, slope)
-    raise NetworkError(f"least absolute deviations: no best vertex after {MAX_EDGES} edges; check the readings")
+    raise NetworkError(f"least absolute deviations: no solution after {MAX_EDGES} steps; check the readings")
 
 
 def _first_vertex(design: Floats, goal: Floats, near: Floats) -> Ints:

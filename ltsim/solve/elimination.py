@@ -228,7 +228,7 @@ def _block_diagonal(blocks: Floats) -> sp.csr_array:
     return sp.csr_array(sp.bsr_array((blocks, at, np.arange(count + 1)), shape=(3 * count, 3 * count)))
 
 
-UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
+UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check the noise"
 
 
 @dataclass(frozen=True)

@@ -45,11 +45,11 @@ class Status(Enum):
     """Termination status of an iteration; the value is a sentence for the user."""
 
     CONVERGED = "the last step was far below one standard deviation"
-    STALLED = "no step, however damped, lowers the sum of squares further"
-    CAPPED = "the cap on iterations was reached before the steps became small"
-    SINGULAR = "some unknowns are not determined by the observations and their stated noise"
-    LOST = "the observations contradict each other so far that no step leads on, although they determine every unknown"
-    PLANNED = "nothing was solved: the state is where the observations are planned"
+    STALLED = "no damped step reduces the sum of squares further"
+    CAPPED = "the limit of iterations was reached before the steps became small"
+    SINGULAR = "the observations with their declared noise do not determine all unknowns"
+    LOST = "the observations determine every unknown, but contradict each other too much for any further step"
+    PLANNED = "nothing was solved: the observations are only planned"
 
 
 @dataclass(frozen=True)
