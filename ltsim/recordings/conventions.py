@@ -108,7 +108,7 @@ def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle,
     ]
     if not open_:
         raise RecordError("the angles fit none of the units deg, gon and rad; check the columns", file=file)
-    meaning, why = open_[0], "the values allow nothing else"
+    meaning, why = open_[0], "no other interpretation fits the values"
     if len(open_) > 1:
         meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _require_hint(open_, file)
     notes = []
@@ -159,7 +159,7 @@ def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[t
     best = int(np.argmax(counts))
     if counts[best] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best]:
         return None
-    return open_[best], f"{counts[best]} targets were seen on two faces that add up accordingly"
+    return open_[best], f"{counts[best]} targets in two faces add up accordingly"
 
 
 def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
@@ -181,7 +181,7 @@ def _require_hint(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tu
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
     hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
     hints += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
-    message = f"the angles may be {choices}, and nothing in the file decides; give {' '.join(hints)}"
+    message = f"the angles may be {choices}, and the file does not decide; give {' '.join(hints)}"
     raise RecordError(message, file=file)
 
 
@@ -309,7 +309,7 @@ def vertical_pointings(recording: Recording) -> tuple[str, ...]:
         return ()
     where = listing([recording.where(int(row) + 1) for row in rows], MAX_NOTES)
     return (
-        f"{where}: along the vertical axis of the tracker an azimuth holds no direction, and the angles are not used; "
+        f"{where}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
     )
 

@@ -105,7 +105,7 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
         header = _header_of(sheet.rows) or _without_header(sheet)
         if header is not None:
             return _PointRows(sheet, *header).points(strict=strict)
-    raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
+    raise RecordError(f"is not a list of coordinates, {EXPECTED}", file=path)
 
 
 def recognises(head: str) -> bool:
@@ -280,16 +280,14 @@ def read_coordinates(path: Path) -> Coordinates:
     epoch = _from_gama(path) if is_xml else _from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
-        raise RecordError(f"holds the point '{shown(twice)}' twice", file=path)
+        raise RecordError(f"contains the point '{shown(twice)}' twice", file=path)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{shown(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE * len(sigma):
-        raise RecordError(
-            "has a covariance that is negative in some direction: some of its entries are wrong", file=path
-        )
+        raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch
 
 
@@ -297,11 +295,11 @@ def _from_gama(path: Path) -> Coordinates:
     """Adjusted points of gama-local with their covariance, from its upper band [mm^2]."""
     parts = {node.tag: node for node in parse(path).inside("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= parts.keys():
-        raise RecordError("holds no <adjusted> points with their <cov-mat>", file=path)
+        raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
     rows = [{cell.tag.lower(): cell for cell in point} for point in parts["adjusted"]]
     kinds = {"".join(axis for axis in AXES if axis in row) for row in rows}
     if len(kinds) != 1 or not (axes := kinds.pop()):
-        raise RecordError("holds points with other coordinates than the first has; give those of one kind", file=path)
+        raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
     points = np.zeros((len(rows), 3))
     points[:, [AXES.index(axis) for axis in axes]] = [[_number(row[axis]) for axis in axes] for row in rows]
     band = {cell.tag: cell for cell in parts["cov-mat"]}
@@ -311,7 +309,7 @@ def _from_gama(path: Path) -> Coordinates:
     )
     used = len(rows) * len(axes)
     if size < used:
-        raise RecordError(f"has a <cov-mat> of another size than its {used} coordinates ask for", file=path)
+        raise RecordError(f"has a <cov-mat> whose size does not match its {used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = parts["description"].text if "description" in parts else ""
@@ -371,7 +369,7 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
         what = f"the coordinate {shown(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
-        raise RecordError("holds rows of another length than its header", file=path)
+        raise RecordError("has rows whose length differs from the header", file=path)
     matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(size, size).max()):

@@ -32,8 +32,8 @@ def on_round_earth(recording: Recording) -> Recording:
     longest = float(np.nanmax(length))
     drop = longest**2 / (2.0 * EARTH) / MILLIMETRE
     note = (
-        f"levelled set-ups stand on a round earth: over the longest sight, {longest:.4g} m, a level surface leaves the "
-        f"plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
+        f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface leaves "
+        f"the plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
     )
     if setup.refraction is None and sum(REFRACTION) * angle > MIN_CURVATURE:
         changes["refraction"] = REFRACTION

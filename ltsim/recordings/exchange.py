@@ -24,8 +24,8 @@ MIN_POSES = 2
 """Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
-POINT_LIST = "names and coordinates, which are refused as a recording"
-TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
+POINT_LIST = "names and coordinates, which are not a recording"
+TABLE = "delimited text with a header, a folder with one file per station, or a workbook"
 
 
 Write = Callable[[Recording, Path], None]
@@ -130,7 +130,7 @@ def recognised(path: Path) -> Format:
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
     if not (path / native.OBSERVATIONS).is_file() and (inside := sorted(path.glob(f"*/{native.OBSERVATIONS}"))):
-        raise RecordError(f"is no recording, but holds {len(inside)}; give {inside[0].parent}", file=path)
+        raise RecordError(f"is not a recording, but contains {len(inside)}; give {inside[0].parent}", file=path)
     head = ""
     if path.is_file():
         try:
@@ -141,7 +141,7 @@ def recognised(path: Path) -> Format:
     fitting = [f for f in FORMATS if f.recognises(path, head)]
     if not fitting:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
-        raise RecordError(f"is in none of the formats that are read: {formats}", file=path)
+        raise RecordError(f"has none of the formats that ltsim reads: {formats}", file=path)
     return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
 
 

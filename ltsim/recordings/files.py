@@ -32,12 +32,12 @@ def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
     except FileNotFoundError:
         raise RecordError("there is no such file", file=path) from None
     except IsADirectoryError:
-        raise RecordError("this is a folder, expected a file", file=path) from None
+        raise RecordError("the path is a folder, expected a file", file=path) from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
         raise RecordError(f"cannot be read ({reason})", file=path) from None
     if len(content) > most:
-        raise RecordError(f"is larger than {most // MIB} MiB, the most that is read", file=path)
+        raise RecordError(f"is larger than {most // MIB} MiB, the limit for reading", file=path)
     if not content.strip():
         raise RecordError("is empty", file=path)
     return content
@@ -84,7 +84,7 @@ def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     """
     text = unix_line_ends(read_text(path, liberal=liberal))
     if text.count("\n") > LINES:
-        raise RecordError(f"has more than {LINES} lines, the most that is read", file=path)
+        raise RecordError(f"has more than {LINES} lines, the limit for reading", file=path)
     lines = text.split("\n")
     for i, line in enumerate(lines):
         if len(line) > LINE_CHARACTERS:
@@ -146,7 +146,7 @@ class SourceLocation:
         Names are used in tables, pages and paths; therefore control characters, markup and path separators are refused.
         """
         if not name or name != name.strip():
-            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
+            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a space"
             raise self.error(f"the name of a {kind} {what}", column)
         reason = ""
         if len(name) > MAX_NAME:

@@ -90,7 +90,7 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
         lines = lines[:-1]
     elif lines[-1]:
         raise SourceLocation(path, len(lines) - 1).error(
-            "the file ends inside this row, without a line break: it was cut"
+            "the file ends inside this row, without a line break, and is incomplete"
         )
     rows: list[list[str]] = []
     try:
@@ -253,10 +253,10 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
             notes.append(
                 f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
-                f"it holds nothing{_near(over, recording.targets)}"
+                f"it has no effect{_near(over, recording.targets)}"
             )
     notes += [
-        f"stations.{name} was never measured: it changes nothing{_near(name, recording.stations)}"
+        f"stations.{name} was never measured: it has no effect{_near(name, recording.stations)}"
         for name in setup.stations
         if name not in recording.stations
     ]
@@ -274,9 +274,9 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"{place}: {', '.join(keys)} stand above those of the data sheet {entry.sheet}, which is not used there"
             )
     if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
-        notes.append(f"heads_sigma_mm changes nothing: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
+        notes.append(f"heads_sigma_mm has no effect: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
     if setup.reference_radius_mm is not None and not setup.reflectors:
-        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives an SMR its radius")
+        notes.append("reference_radius_mm has no effect: no table [reflectors.NAME] gives an SMR its radius")
     return tuple(notes)
 
 
@@ -291,7 +291,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     Raises RecordError when it holds what could not be read back, or the folder cannot be written.
     """
     if path.exists() and not path.is_dir():
-        raise RecordError("this is a file, expected a folder to write the recording to", file=path)
+        raise RecordError("the path is a file, expected a folder to write the recording to", file=path)
     write_texts(path, recording_texts(recording, path))
 
 

@@ -103,7 +103,7 @@ def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[s
     """Mean of a column over the pointings to both ends of a length."""
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
-        message = f"measured_at_c names '{shown(name)}', which is no column of numbers; there are {columns}"
+        message = f"measured_at_c names '{shown(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **where)
     ends = [recording.targets.index(target) for target in (line.from_, line.to)]
     values = recording.covariates[name][np.isin(recording.target, ends)]

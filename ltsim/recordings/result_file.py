@@ -227,13 +227,13 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
     decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
-        raise RecordError(f"holds more than {JSON_VALUES} values, the most that is read", file=file)
+        raise RecordError(f"holds more than {JSON_VALUES} values, the limit for reading", file=file)
     try:
         content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
     if not isinstance(content, dict):
-        raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
+        raise RecordError(f"contains no JSON object; expected a {kind}", file=file)
     return content
 
 
@@ -247,7 +247,7 @@ def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
         return None
     if result.files and not result.owns(folder, name):
         raise RecordError(
-            f"does not belong to {result.FILE} in the same folder, or was changed since; run the command again",
+            f"does not belong to {result.FILE} in the same folder, or was changed; run the command again",
             file=file,
         )
     return file

@@ -36,7 +36,7 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
     text = unix_line_ends(read_text(path, most=TOML_BYTES))
     if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
-        message = "has no line break after its last value and may be cut there; end the line if it is whole"
+        message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
         raise RecordError(message, file=path)
     check_toml(text, path)
     try:
@@ -68,11 +68,11 @@ def check_toml(text: str, file: object) -> None:
         if brackets + parts > TOML_DEPTH:
             row = text.count("\n", 0, token.start()) + 1
             raise SourceLocation(file, row).error(
-                f"tables or keys are nested deeper than {TOML_DEPTH}, the most that is read"
+                f"tables or keys are nested deeper than {TOML_DEPTH}, the limit for reading"
             )
         if keys > TOML_KEYS or values > TOML_VALUES:
             most = f"{TOML_KEYS} keys and tables or {TOML_VALUES} values"
-            raise RecordError(f"holds more than {most}, the most that is read", file=file)
+            raise RecordError(f"holds more than {most}, the limit for reading", file=file)
 
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
@@ -129,7 +129,7 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
         misspelt = [error for error in errors if error["type"] == "extra_forbidden"]
         raise RecordError(sentence((misspelt or errors)[0], model), file=file) from None
     except (ValueError, RecursionError):
-        raise RecordError(f"holds a value that no {kind} can hold", file=file) from None
+        raise RecordError(f"contains a value that is not possible in a {kind}", file=file) from None
 
 
 def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:

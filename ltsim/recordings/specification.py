@@ -31,11 +31,11 @@ TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
 """Default total station; its readings contain its corrections."""
 NO_NOISE = (
-    "the file states no noise: that of the default laser tracker is assumed (3 um + 0.3 ppm, 0.37 arcsec); set it in "
+    "the file declares no noise: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 LIKE_TOTAL_STATION = (
-    "the file states no noise: that of a total station is assumed (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
+    "the file declares no noise: that of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
     "in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 
@@ -128,7 +128,7 @@ class Specification(TomlSection):
     def assumption(self) -> str:
         """Sentence on the assumptions of `instrument`."""
         return (
-            f"limits are taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
+            f"a limit is taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
             "noise and the rest as constants of the instrument"
         )
 

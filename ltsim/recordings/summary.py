@@ -42,7 +42,7 @@ def _pointings(recording: Recording) -> str:
     each = _span(per_station.astype(np.float64), "d")
     rounds = int(recording.repeat.max(initial=1))
     repeated = f", up to {rounds} of a target in one face" if rounds > 1 else ""
-    return f"{len(recording)} to {len(recording.targets)} targets, {each} a set-up{repeated}"
+    return f"{len(recording)} to {len(recording.targets)} targets, {each} per set-up{repeated}"
 
 
 def _faces(recording: Recording) -> str:
@@ -80,7 +80,7 @@ def _heights(recording: Recording) -> str:
 
 def _time(recording: Recording) -> str:
     if not recording.has_clock or not np.isfinite(recording.time).any():
-        return "no clock: the order of the rows counts"
+        return "no clock: the order of the rows replaces the time"
     seconds = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     hours, rest = divmod(round(seconds), 3600)
     began = f"from {recording.setup.started} on, " if recording.setup.started else ""
@@ -93,7 +93,7 @@ def _noise(recording: Recording) -> str:
     if len(words) > 1:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
     shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
-    by_row = ["stated by row"] if shares else []
+    by_row = ["declared per row"] if shares else []
     return "; ".join([*by_row, *words][:MAX_NAMED])
 
 

@@ -79,8 +79,8 @@ UNIT_ERRORS = (
 """Errors of unit or sense: the reading is in the wrong unit but interpreted in the right one."""
 
 FACE_ERRORS = (
-    TranscriptionError("face-azimuth", "the azimuth of the other face", "that of its own", ((1, 1.0, np.pi),)),
-    TranscriptionError("face-elevation", "the elevation of the other face", "that of its own", ((2, -1.0, np.pi),)),
+    TranscriptionError("face-azimuth", "the azimuth of the other face", "its own value", ((1, 1.0, np.pi),)),
+    TranscriptionError("face-elevation", "the elevation of the other face", "its own value", ((2, -1.0, np.pi),)),
 )
 """Errors of one angle, which is the one of the other face."""
 

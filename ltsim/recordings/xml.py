@@ -50,7 +50,7 @@ class _DepthCheck:
     def start(self, _tag: Any, _attributes: Any) -> None:
         self._depth += 1
         if self._depth > XML_DEPTH:
-            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the most that is read", file=self._file)
+            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the limit for reading", file=self._file)
 
     def end(self, _tag: Any) -> None:
         self._depth -= 1
@@ -65,7 +65,7 @@ def check_tags(content: bytes, file: Path) -> None:
     An attribute cannot contain `<`, so that all attributes of a tag are before the next `<`.
     """
     if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG.finditer(content)):
-        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the most that is read", file=file)
+        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the limit for reading", file=file)
 
 
 def check_part(content: bytes, file: Path) -> None:
@@ -89,7 +89,7 @@ def parse(path: Path) -> Node:
     content = read_bytes(path)
     if content.count(b"<") > XML_TAGS or content.count(b"=") > XML_ATTRIBUTES:
         most = f"{XML_TAGS} tags or {XML_ATTRIBUTES} attributes"
-        raise RecordError(f"holds more than {most}, the most that is read", file=path)
+        raise RecordError(f"holds more than {most}, the limit for reading", file=path)
     check_tags(content, path)
     try:
         builder = _NumberedBuilder(path)

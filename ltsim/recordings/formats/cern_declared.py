@@ -147,7 +147,7 @@ def _named_place(words: Words, message: str) -> tuple[str, Floats]:
 def _read_precision(point: DeclaredPoint, words: list[str], where: SourceLocation) -> None:
     turned = next((word for word in words if word in TURNED), None)
     if turned is not None:
-        raise where.error(f"{turned}: standard deviations in turned axes are not read; give APRICOV")
+        raise where.error(f"{turned}: standard deviations in rotated axes are not read; give APRICOV")
     if "APRICOV" in words:
         point.add(point.place, _matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where))
         return

@@ -119,7 +119,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             break
     if keyword != "END" or in_frame:
         missing = "*ENDFRAME" if in_frame else "*END"
-        raise RecordError(f"the file ends without {missing}: it was cut", file=path)
+        raise RecordError(f"the file ends without {missing} and is incomplete", file=path)
     return _finished(file)
 
 
@@ -236,7 +236,7 @@ def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float
 def _finished(file: _File) -> Recording:
     pointings, instrument_heights, target_heights = settled_heights(merged(file.observed, file.path.name))
     if not pointings:
-        raise RecordError("holds no polar observations", file=file.path)
+        raise RecordError("contains no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in pointings)
     _learn(file)
     marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
@@ -320,7 +320,7 @@ class _Plane:
 
 def _notes(file: _File) -> Iterator[str]:
     if file.switched_off:
-        yield f"{file.switched_off} lines are switched off with % and left out"
+        yield f"{file.switched_off} lines are switched off with % and not used"
     for keyword, count in file.skipped.items():
         curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
         why = curved if keyword == "OBSXYZ" else "is not understood here"
@@ -329,11 +329,11 @@ def _notes(file: _File) -> Iterator[str]:
         frames = ", ".join(map(shown, file.frames))
         sentence = f"*OBSXYZ observes {len(file.framed)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.framed):
-            yield f"{sentence}; all of them are fixed, so that they locate that frame and add nothing to the network"
+            yield f"{sentence}; all of them are fixed, so they only locate that frame"
         else:
             yield f"{sentence}, whose place is not adjusted here; they are skipped"
     if file.curved:
-        sphere = "heights refer to a curved surface: a sphere is used for it, plumb lines differ by place"
+        sphere = "heights refer to a curved surface: ltsim uses a sphere, so plumb lines differ by place"
         yield f"*{file.curved}: {sphere}"
     for name in file.orientation:
         yield f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}"

@@ -56,7 +56,7 @@ class FieldBook:
         if not (np.isnan(distance) or 0 < distance < 1e6):
             raise where.error(f"a distance of {distance:g} m")
         if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-            raise where.error("a zenith angle off the circle")
+            raise where.error("a zenith angle outside the circle")
         elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
         if np.all(np.isnan([distance, horizontal, zenith])):
             self.skipped += 1

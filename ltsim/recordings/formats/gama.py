@@ -109,7 +109,7 @@ def _without_slashes(root: Node, network: GamaNetwork) -> None:
 def _read_axes(node: Node, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
     if axes not in (*MIRRORED_AXES, *DIRECT_AXES) or angles not in ("left-handed", "right-handed"):
-        message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is no system that gama-local knows"
+        message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is not a system of gama-local"
         raise node.where.error(message)
     network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
@@ -122,7 +122,7 @@ def _read_parameters(node: Node, network: GamaNetwork) -> None:
     network.apriori = node.number("sigma-apr", network.apriori)
     if "sigma-apr" in node:
         apriori = shown(node.get("sigma-apr"))
-        network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is the one found here times that")
+        network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is this factor times the one of ltsim")
     if "latitude" in node or "ellipsoid" in node:
         network.notes.append("latitude and ellipsoid are not used: no reduction of observations to an ellipsoid")
 
@@ -156,7 +156,7 @@ def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
         if word.lower() not in ("", "xyz", "xy", "z"):
             raise node.where.error(f"point {name}: '{shown(word)}' is not one of xyz, xy, z")
     if any(axis not in point.values for axis in fixed.lower()):
-        raise node.where.error(f"point {name} is fixed without all its coordinates")
+        raise node.where.error(f"point {name} is fixed, but lacks coordinates")
     point.fixed = "".join(sorted({*point.fixed, *fixed.lower()}))
     point.datum = _axes(point.datum + "".join(filter(str.isupper, adjusted)))
     point.active = _axes(point.active + fixed + adjusted)
@@ -287,10 +287,10 @@ def _finished(network: GamaNetwork) -> Recording:
     drop_undetermined_heights(network)
     gauge, observed = lengths_of(network)
     pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
-    no_place = "left out: a recording has no place for it"
+    no_place = "not read: a recording cannot contain it"
     skipped = [f"{count} <{shown(what)}> {no_place}" for what, count in network.skipped.items()]
     if not pointings and network.differences:
-        message = "holds height differences or vectors and no pointing, expected readings of instruments too"
+        message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
     if not pointings and skipped:
         raise RecordError(f"holds no pointings, and {'; '.join(skipped)}", file=network.file)

@@ -198,7 +198,7 @@ def _difference(child: Node, y_sign: float, spread: Floats) -> ReferenceDifferen
         return ReferenceDifference.model_validate({**ends, "known_mm": vector, **precision})
     except ValidationError:
         wanted = "values below 1e8 m, and variances that are positive in every direction"
-        raise child.where.error(f"<{child.tag}> is too large, or its covariance is none, expected {wanted}") from None
+        raise child.where.error(f"<{child.tag}> is too large, or its covariance is wrong, expected {wanted}") from None
 
 
 def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
@@ -228,7 +228,7 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
         if len(group := np.flatnonzero(linked[first])) > 1:
             values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
             if values[0] < EIGENVALUE_TOLERANCE:
-                raise block.where.error("a <cov-mat> that is no covariance, expected one that is positive definite")
+                raise block.where.error("a <cov-mat> that is not positive definite")
             more = values > values[0] * (1.0 + EIGENVALUE_TOLERANCE)
             factors = np.zeros((len(sigma), int(more.sum())))
             factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])

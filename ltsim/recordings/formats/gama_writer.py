@@ -29,14 +29,14 @@ def write(recording: Recording, path: Path) -> None:
     support.
     """
     if excess_radii(recording) is not None:
-        message = "SMRs of several radii stood off along normals of nests, which gama-local does not know"
+        message = "SMRs of several radii are offset along the normals of nests, which gama-local does not support"
         raise RecordError(f"{message}; write the recording as native", file=path)
     if any(SHARED_COLUMN.fullmatch(name) for name in recording.covariates):
-        raise RecordError("holds errors that readings share, which is written as native only", file=path)
+        raise RecordError("contains errors that readings share, which only the native format supports", file=path)
     for name in recording.stations:
         if not recording.station_setup(name).levelled:
-            message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
-            raise RecordError(f"{message}; set levelled = true in setup.toml where it is", file=path)
+            message = f"station {name} is not levelled, and gama-local supports only levelled instruments"
+            raise RecordError(f"{message}; set levelled = true in setup.toml if it is levelled", file=path)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<gama-local xmlns="{SPACE}">',
@@ -162,4 +162,4 @@ def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
             yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:
             message = f"the difference {difference.called} is given along {difference.known_axes}, expected z or xyz"
-            raise RecordError(f"{message}: gama-local has no other differences", file=path)
+            raise RecordError(f"{message}: gama-local has only these", file=path)

@@ -44,7 +44,7 @@ class _GsiLine:
             if _PPM.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != wide:
-                raise where.error(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}")
+                raise where.error(f"'{shown(text)}' is not a word of GSI-{16 if wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
         return cls(words, where)
 
@@ -107,10 +107,10 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         if line.strip():
             block = _GsiLine.of(line.strip(), SourceLocation(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
-                raise block.where.error("the last line has no line break: it was cut")
+                raise block.where.error("the last line has no line break and is incomplete")
             _take(block, file)
             before = block
-    notes = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
+    notes = [f"{file.skipped} blocks are neither a station nor a measurement and are not used"] if file.skipped else []
     return file.recording("a GSI file", *notes)
 
 

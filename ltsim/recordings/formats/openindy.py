@@ -78,7 +78,7 @@ def _pointing(
         ] += 1
         return None
     if reference not in stations:
-        raise node.where.error(f"a reading refers to station {shown(reference)}, which is not there")
+        raise node.where.error(f"a reading refers to station {shown(reference)}, which does not exist")
     measured = {m.attribute("type"): m for m in reading.inside("measurement")}
     missing = [name for name in WANTED[kind] if name not in measured]
     if missing:
@@ -88,7 +88,7 @@ def _pointing(
         raise node.where.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
-        notes["readings state another face than their zenith angle shows: the face of the zenith angle is used"] += 1
+        notes["readings have a face that contradicts their zenith angle: the face of the zenith angle is used"] += 1
     return Pointing(
         stations[reference].name("name", "station"),
         _target(node, geometries),

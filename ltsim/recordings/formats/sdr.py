@@ -45,7 +45,7 @@ class _Dialect:
     def of(cls, header: str, where: SourceLocation) -> "_Dialect":
         match = _HEADER.match(header)
         if match is None:
-            raise where.error(f"'{shown(header)}' is no header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
+            raise where.error(f"'{shown(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
         units = header[UNITS_AT].ljust(5, "1")
         for digit, units_of, what in ((units[0], ANGLE, "angles"), (units[1], LENGTH, "distances")):
             if digit not in units_of:
@@ -89,7 +89,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             _observe(line, dialect, book, where, height=height, from_horizon=from_horizon)
         elif kind == "09":
             skipped += 1
-    notes = [f"{skipped} observations that the instrument had corrected or averaged are left out"] if skipped else []
+    notes = [f"{skipped} observations that the instrument corrected or averaged are not used"] if skipped else []
     return book.recording("an SDR file", *notes)
 
 

@@ -83,7 +83,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
     remarks, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
     if off:
-        remarks.append(f"{off} observations are switched off in the report and left out")
+        remarks.append(f"{off} observations are switched off in the report and not used")
     hints = replace(hints, columns=COLUMNS, date=hints.date or "dmy")
     table = table_of(
         [_sheet(*block_parts, path) for block_parts in zip(blocks, names, used, strict=True) if block_parts[2]],
@@ -108,7 +108,7 @@ def _cells(path: Path) -> Iterator[Row]:
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING.match(line)), None)
     if heading is None:
-        raise RecordError("holds no heading 'Collection, Group, Target, ...': it was cut, or is no report", file=path)
+        raise RecordError("holds no heading 'Collection, Group, Target, ...': it is incomplete", file=path)
     separator = heading.replace('"', "")[len("Collection")]
     reader = csv.reader((line + "\n" for line in lines), delimiter=separator, strict=True)
     try:
@@ -140,7 +140,7 @@ def _blocks(path: Path) -> list[_Block]:
     for block in blocks.values():
         if block.rows and block.count not in (None, len(block.rows) - 1):
             held = f"{block.count} observations and holds {len(block.rows) - 1}"
-            message = f"set-up {shown(block.number)} announces {held}: the report was cut or edited"
+            message = f"set-up {shown(block.number)} announces {held}: the report is incomplete or edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 

@@ -32,7 +32,7 @@ def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
     head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
     body = [row.fields for row in sample if row.values > 1]
     if not body:
-        return "holds no row with two numbers or more: nothing that could be a pointing"
+        return "contains no row with two or more numbers, so no pointing"
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
     titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))

@@ -61,7 +61,7 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
     mixed = (cell for row in rows for cell in row if "," in cell and "." in cell)
     shown = {mark: cell for cell in mixed for mark, form in _BOTH.items() if form.fullmatch(cell)}
     if len(shown) > 1:
-        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: make them alike", file=file)
+        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: use one", file=file)
     return next(iter(shown), "")
 
 

@@ -209,7 +209,7 @@ def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple
     readings = to_polar(printed * FACTOR[length])
     near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(near):
-        raise table.pointings.place(int(near[0])).error("lies in the instrument itself, expected coordinates from it")
+        raise table.pointings.place(int(near[0])).error("coincides with the instrument, expected another point")
     _check_frames(table, printed * FACTOR[length], file)
     return ColumnInterpretation("rad", "rad", length, "elevation", "counter-clockwise", (*notes, FROM_PLACES)), readings
 
@@ -227,7 +227,7 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
             gaps.append(float(np.linalg.norm(point - place)))
     if len(gaps) > 2 and float(np.median(gaps)) < COMMON_FRAME_M:
         message = (
-            f"{len(gaps)} targets have the same coordinates from several set-ups: they are in one frame already; "
+            f"{len(gaps)} targets have the same coordinates from several set-ups: they are already in one frame; "
             "export them in the axes of each instrument"
         )
         raise RecordError(message, file=file)

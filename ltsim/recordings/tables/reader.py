@@ -59,7 +59,7 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
     nothing = [float("nan")] * len(texts)
     if column is None or not any(texts):
         return nothing, "", []
-    by_rows = "the order of the rows stands for the time"
+    by_rows = "the order of the rows replaces the time"
     if not all(texts):
         return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
     values = cells.plain_numbers(texts)
@@ -202,7 +202,7 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
         return faces, []
     readings[:] = to_face(readings, np.array(faces))
     readings[second, 1] %= 2 * np.pi
-    return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
+    return faces, ["readings of face 2 were reduced to face 1 and are converted back to circle readings"]
 
 
 def _further(
@@ -275,7 +275,7 @@ def _unread(table: PointingTable) -> list[str]:
     if table.unread:
         examples = "; ".join(table.unread[:MAX_SHOWN])
         more = len(table.unread) - MAX_SHOWN
-        notes.append(f"free text is left out: {examples}" + (f" and {more} more lines" if more > 0 else ""))
+        notes.append(f"free text is not used: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes
 
 

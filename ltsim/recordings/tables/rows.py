@@ -266,7 +266,7 @@ class _SheetReader:
         self.headers += 1
         if self.headers > HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
-                f"holds more than {HEADERS} headers, the most that is read"
+                f"holds more than {HEADERS} headers, the limit for reading"
             )
         if columns != self.columns:
             self._convert()

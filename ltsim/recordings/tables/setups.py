@@ -54,7 +54,7 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
     called = "names no points" if names == {""} else f"has one name ('{shown(names.pop())}') for all of its rows"
     table.notes.append(
         f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
-        "each a target named pose-1, pose-2, ...; one set-up alone says nothing of the tracker"
+        "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
     )
     return table
 
@@ -185,11 +185,11 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     notes = []
     if len(occupations) > len(marks):
         by = "set-up" if table.column(("instrument_setup",)) is not None else "day"
-        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are set-ups of their own")
+        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are separate set-ups")
     if turned:
         of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
         notes.append(
-            f"the circle was turned between rounds: {len(names)} rounds{of} are set-ups of their own over their marks"
+            f"the circle was turned between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
     rounds = Counter(key[:2] for key in distinct)
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if turned else set(), notes
@@ -258,7 +258,7 @@ def over_marks(
     }
     if not stations:
         return setup, []
-    over = f", {len(shared)} marks are targets too" if shared & targets else ""
+    over = f", {len(shared)} marks are also targets" if shared & targets else ""
     kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
     note = f"{kind} are assumed levelled{over} (otherwise set levelled = false in setup.toml)"
     setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})

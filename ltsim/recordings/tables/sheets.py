@@ -131,7 +131,7 @@ class Sheet:
         before = next((candidate for candidate in earlier if len(candidate.fields) == width), None)
         ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
         if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
-            raise SourceLocation(self.file, row.line).error("the file ends inside this row: it was cut")
+            raise SourceLocation(self.file, row.line).error("the file ends inside this row and is incomplete")
 
 
 def is_folder(path: Path) -> bool:
@@ -238,7 +238,7 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
     """
     lines = [row for row in text_sheet(path).rows if not row.comment]
     if not lines:
-        raise RecordError("holds comments only, expected a header and rows", file=path)
+        raise RecordError("contains only comments, expected a header and rows", file=path)
     header, *rows = lines
     twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
     if twice is not None:
@@ -293,7 +293,7 @@ def workbook_cells(file: Path) -> list[tuple[str, list[Line]]]:
     except OSError as problem:
         raise RecordError(f"cannot be read ({problem.strerror or 'damaged'})", file=file) from None
     except Exception as problem:  # the library raises whatever its parts raise
-        what = f"is no workbook that can be read ({type(problem).__name__}): it is damaged; save it again, or as CSV"
+        what = f"is not a readable workbook ({type(problem).__name__}): it is damaged; save it again, or as CSV"
         raise RecordError(what, file=file) from None
 
 
@@ -302,10 +302,10 @@ def _check_parts(file: Path, packed: io.BytesIO) -> None:
     with zipfile.ZipFile(packed) as archive:
         parts = archive.infolist()
         if len(parts) > WORKBOOK_PARTS:
-            raise RecordError(f"holds more than {WORKBOOK_PARTS} parts, the most that is read", file=file)
+            raise RecordError(f"holds more than {WORKBOOK_PARTS} parts, the limit for reading", file=file)
         if sum(part.file_size for part in parts) > WORKBOOK_BYTES:
             most = f"{WORKBOOK_BYTES // MIB} MiB"
-            raise RecordError(f"unpacks to more than {most}, the most that is read; save the table as CSV", file=file)
+            raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
         for part in parts:
             content = archive.read(part)
             if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark
@@ -316,7 +316,7 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
     """Rows of all sheets of an open workbook, counted together because several sheets may refer to the same part."""
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > SHEETS:
-        raise RecordError(f"holds more than {SHEETS} sheets, the most that is read", file=file)
+        raise RecordError(f"holds more than {SHEETS} sheets, the limit for reading", file=file)
     rows = cells = characters = 0
     contents = []
     for sheet in sheets:
@@ -326,14 +326,14 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
             where = f"up to row {number} of sheet {shown(sheet.title)}"
             rows, cells = rows + 1, cells + len(values)
             if rows > LINES or cells > CELLS:
-                what = f"holds more than {LINES} rows or {CELLS} cells {where}, the most that is read"
+                what = f"holds more than {LINES} rows or {CELLS} cells {where}, the limit for reading"
                 raise RecordError(f"{what}; delete the cells far away from the table", file=file)
             texts = _texts(values)
             size = sum(map(len, texts))
             characters += size
             if size > LINE_CHARACTERS or characters > FILE_BYTES:
                 most = f"{LINE_CHARACTERS} characters in a row or {FILE_BYTES // MIB} million in all"
-                raise RecordError(f"holds more than {most} {where}, the most that is read", file=file)
+                raise RecordError(f"holds more than {most} {where}, the limit for reading", file=file)
             lines += [(number, texts)] if texts else []
         contents.append((sheet.title, lines))
     return contents
