@@ -41,7 +41,7 @@ class AirLayer(WarmAir):
     name = "air-layer"
     stage = Stage.AIR
     covariates = ("height",)
-    parameters = (Parameter("layer-step", "K", "how much warmer the layer is than the air below", 4.0),)
+    parameters = (Parameter("layer-step", "K", "temperature difference of the layer to the air below", 4.0),)
     shape = (
         ShapeParameter("height", "m", "middle of the step above the lowest target or station", 0.0, 40.0, steps=41),
         ShapeParameter("width", "m", "width of the step", 0.05, 1.5, logarithmic=True, steps=3),

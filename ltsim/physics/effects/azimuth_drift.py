@@ -23,7 +23,7 @@ class AzimuthDrift(Drift):
     observables = ("azimuth",)
     slot = "azimuth"
     rate = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * FACTOR["urad/h"])
-    amplitude = Parameter("azimuth-drift-amplitude", "urad", "correction at the start, dying away", 20 * MICRORADIAN)
+    amplitude = Parameter("azimuth-drift-amplitude", "urad", "correction at the start, decaying", 20 * MICRORADIAN)
     parameters = (rate,)
 
     laws = ("visit",)

@@ -141,8 +141,8 @@ class Catalogue(Sequence[type[Effect]]):
             card_of(kind)
         except ModelError:
             title = kind.name.replace("-", " ").capitalize()
-            parts = "\n\n".join(f"{part}: not stated." for part in PARTS)
-            kind.__doc__ = f"{title}: an effect of this session.\n\nnot stated\n\n{parts}\n"
+            parts = "\n\n".join(f"{part}: not given." for part in PARTS)
+            kind.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
         self.__dict__["entries"] = {**self.entries, kind.name: Listed(kind, SESSION, SESSION)}
         return kind
 
@@ -174,7 +174,7 @@ def _package(point: EntryPoint) -> str:
 
 def _refused(point: EntryPoint, why: str) -> ModelError:
     place = f"{point.value} of {_package(point)}"
-    return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; mend or uninstall that package")
+    return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; repair or uninstall that package")
 
 
 def _loaded(point: EntryPoint) -> Listed:
@@ -194,7 +194,7 @@ def _loaded(point: EntryPoint) -> Listed:
 def fault_of(kind: object) -> str:
     """Reason why a class is no valid effect; empty for a valid one."""
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
-        return "it is no class derived from lt.Effect"
+        return "it is not a class derived from lt.Effect"
     if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
         return f"its class lacks {', '.join(lacking)}"
     if not NAME.fullmatch(getattr(kind, "name", "")) or kind.name == "unknown":

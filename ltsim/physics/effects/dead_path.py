@@ -30,7 +30,7 @@ class DeadPath(Effect):
     stage = Stage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)
-    parameters = (Parameter("dead-path", "um/K", "missing from every range a kelvin warmer", 3 * MICROMETRE),)
+    parameters = (Parameter("dead-path", "um/K", "length missing from every range per kelvin", 3 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -31,7 +31,7 @@ class FaceConfusion(Mistake):
     observables = ("azimuth", "elevation")
     covariates = ("face",)
     scope = "station"
-    parameters = (Parameter("confused", "", "1 where the faces are confused", 1.0),)
+    parameters = (Parameter("confused", "", "1 for exchanged faces", 1.0),)
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:

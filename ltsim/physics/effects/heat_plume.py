@@ -55,7 +55,7 @@ class HeatPlume(WarmAir):
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
     ways = 3
-    parameters = (Parameter("plume-temperature", "K", "how much warmer its centre is", 5.0, positive=True),)
+    parameters = (Parameter("plume-temperature", "K", "excess temperature of the centre", 5.0, positive=True),)
     shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
 
     def __post_init__(self) -> None:

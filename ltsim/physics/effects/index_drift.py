@@ -24,7 +24,7 @@ class IndexDrift(Drift):
     observables = ("elevation",)
     slot = "elevation"
     rate = Parameter("index-drift", "urad/h", "growth of the index", 20 * FACTOR["urad/h"])
-    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, dying away", 20 * MICRORADIAN)
+    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
     parameters = (rate,)
 
     laws = ("linear", "visit")

@@ -25,9 +25,9 @@ class NoiseLevel(NoiseEffect):
     least = -0.95
     stage = Stage.NOISE
     parameters = (
-        Parameter("noise-distance", "", "variance added to the ranges over the stated", 1.0),
-        Parameter("noise-azimuth", "", "variance added to the azimuths over the stated", 1.0),
-        Parameter("noise-elevation", "", "variance added to the elevations over the stated", 1.0),
+        Parameter("noise-distance", "", "variance added to the ranges, divided by the declared variance", 1.0),
+        Parameter("noise-azimuth", "", "variance added to the azimuths, divided by the declared variance", 1.0),
+        Parameter("noise-elevation", "", "variance added to the elevations, divided by the declared variance", 1.0),
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:

@@ -27,7 +27,7 @@ class RangeMode(Effect):
     stage = Stage.RANGE
     observables = ("distance",)
     covariates = (MODE_COLUMN,)
-    parameters = (Parameter("interferometer-zero", "um", "missing from ranges of the interferometer", 30 * MICROMETRE),)
+    parameters = (Parameter("interferometer-zero", "um", "missing length of interferometer ranges", 30 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -20,5 +20,5 @@ class RangeScale(SlotEffect):
     name = "range-scale"
     stage = Stage.RANGE
     observables = ("distance",)
-    parameters = (Parameter("range-scale", "ppm", "share missing from every range", 2 * PPM, "range_scale"),)
+    parameters = (Parameter("range-scale", "ppm", "fraction missing from every range", 2 * PPM, "range_scale"),)
     terms = (Term("range", Power()),)

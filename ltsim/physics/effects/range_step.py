@@ -30,7 +30,7 @@ class RangeStep(Effect):
     observables = ("distance",)
     covariates = ("time",)
     scope = "station"
-    parameters = (Parameter("range-step", "um", "missing from every range after the step", 30 * MICROMETRE),)
+    parameters = (Parameter("range-step", "um", "length missing from every range after the step", 30 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

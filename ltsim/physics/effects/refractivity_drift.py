@@ -24,7 +24,7 @@ class RefractivityDrift(Effect):
     observables = ("distance",)
     covariates = ("time", "distance")
     parameters = (
-        Parameter("refractivity-drift", "ppm/h", "growth of the share missing from every range", 3 * FACTOR["ppm/h"]),
+        Parameter("refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * FACTOR["ppm/h"]),
     )
 
     def design(self, sightings: Sightings) -> Floats:

@@ -27,7 +27,7 @@ class SmrOffset(TargetMotion):
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
-    parameters = (Parameter("radius-difference", "mm", "radius of the SMR used, less that assumed", 5 * MILLIMETRE),)
+    parameters = (Parameter("radius-difference", "mm", "radius of the SMR minus the declared radius", 5 * MILLIMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -34,7 +34,7 @@ class StationBump(StationMotion):
     scope = "station"
     parameters = (
         *along_axes("shift", "um", "motion of the station along", 100 * MICROMETRE),
-        *along_axes("turn", "urad", "turn of the station about", 50 * MICRORADIAN),
+        *along_axes("turn", "urad", "rotation of the station about", 50 * MICRORADIAN),
     )
 
     @classmethod

@@ -30,8 +30,8 @@ class StationLevelling(StationMotion):
     covariates = ("place",)
     scope = "station"
     parameters = (
-        Parameter("lean-x", "urad", "turn about the instrument's x axis", 20 * MICRORADIAN),
-        Parameter("lean-y", "urad", "turn about the instrument's y axis", 20 * MICRORADIAN),
+        Parameter("lean-x", "urad", "rotation about the instrument's x axis", 20 * MICRORADIAN),
+        Parameter("lean-y", "urad", "rotation about the instrument's y axis", 20 * MICRORADIAN),
     )
 
     @classmethod

@@ -36,8 +36,8 @@ class StationSettling(StationMotion):
     covariates = ("time",)
     scope = "station"
     parameters = (
-        Parameter("tilt-x", "urad", "final turn of the station about the network's x axis", 15 * MICRORADIAN),
-        Parameter("tilt-y", "urad", "final turn of the station about the network's y axis", 15 * MICRORADIAN),
+        Parameter("tilt-x", "urad", "final rotation of the station about the network's x axis", 15 * MICRORADIAN),
+        Parameter("tilt-y", "urad", "final rotation of the station about the network's y axis", 15 * MICRORADIAN),
         Parameter("rise", "um", "final rise of the station", 20 * MICROMETRE),
     )
     shape = (

@@ -23,7 +23,7 @@ class StationWeather(Effect):
     observables = ("distance",)
     covariates = ("distance",)
     scope = "station"
-    parameters = (Parameter("station-weather", "ppm", "share missing from every range of the station", 5 * PPM),)
+    parameters = (Parameter("station-weather", "ppm", "fraction missing from every range of the station", 5 * PPM),)
 
     def design(self, sightings: Sightings) -> Floats:
         return on_readings(sightings, distance=self.mask(sightings) * sightings.range_)[:, :, None]

@@ -28,7 +28,7 @@ class TargetSwap(Mistake):
     stage = Stage.ELECTRONICS
     covariates = ("place",)
     scope = "pointing"
-    parameters = (Parameter("swapped", "", "1 where the two are exchanged", 1.0),)
+    parameters = (Parameter("swapped", "", "1 for exchanged targets", 1.0),)
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:

@@ -33,9 +33,9 @@ class TimingLag(Effect):
     stage = Stage.ELECTRONICS
     covariates = ("time", "approach")
     parameters = (
-        Parameter("lag-distance", "ms", "how late the range is", 0.3e-3),
-        Parameter("lag-azimuth", "ms", "how late the azimuth is", 0.3e-3),
-        Parameter("lag-elevation", "ms", "how late the elevation is", 0.3e-3),
+        Parameter("lag-distance", "ms", "delay of the range", 0.3e-3),
+        Parameter("lag-azimuth", "ms", "delay of the azimuth", 0.3e-3),
+        Parameter("lag-elevation", "ms", "delay of the elevation", 0.3e-3),
     )
 
     def design(self, sightings: Sightings) -> Floats:

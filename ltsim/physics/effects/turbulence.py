@@ -24,10 +24,8 @@ class Turbulence(NoiseEffect):
     stage = Stage.AIR
     covariates = ("distance",)
     parameters = (
-        Parameter(
-            "turbulence-across", "um2/m3", "variance across the beam over the cube of the range", 9 * MICROMETRE**2
-        ),
-        Parameter("turbulence-along", "um2/m", "variance of the range over the range", 9 * MICROMETRE**2),
+        Parameter("turbulence-across", "um2/m3", "variance across the beam / cube of the range", 9 * MICROMETRE**2),
+        Parameter("turbulence-along", "um2/m", "variance of the range / range", 9 * MICROMETRE**2),
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:

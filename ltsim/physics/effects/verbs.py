@@ -218,6 +218,6 @@ def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
     >>> import ltsim as lt
     >>> lt.add_effect(int)
     Traceback (most recent call last):
-    ltsim.core.errors.ModelError: <class 'int'> cannot be an effect: it is no class derived from lt.Effect
+    ltsim.core.errors.ModelError: <class 'int'> cannot be an effect: it is not a class derived from lt.Effect
     """
     return CATALOGUE.add(kind)

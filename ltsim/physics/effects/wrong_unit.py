@@ -34,7 +34,7 @@ class WrongUnit(Mistake):
     name = "wrong-unit"
     stage = Stage.ELECTRONICS
     scope = "station"
-    parameters = (Parameter("mistaken", "", "1 where the unit is wrong", 1.0),)
+    parameters = (Parameter("mistaken", "", "1 for a wrong unit", 1.0),)
 
     def __post_init__(self) -> None:
         if self.mistake not in SLIPS:

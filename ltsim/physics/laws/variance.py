@@ -59,7 +59,7 @@ class VarianceFunction(NoiseSignature):
         kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.owners for kind in kinds]
         return tuple(
-            Parameter(n, "", "variance added where the pattern is 1, over the stated", 3.0)
+            Parameter(n, "", "added variance where the pattern is 1, divided by the declared variance", 3.0)
             for n in names or ["added-variance"]
         )
 
@@ -78,11 +78,11 @@ class VarianceFunction(NoiseSignature):
         """Text of the variance function."""
         if self.repeating:
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
-            return f"amounts without a visible law that repeat when a target is measured again{again}"
+            return f"errors without a visible law that recur when a target is measured again{again}"
         if self.region is not None:
             return "larger noise on lines of sight that pass a region of the hall"
         if self.each == "reading":
-            return "a share of the readings scatters much more than the rest"
+            return "a fraction of the readings with a much larger scatter"
         if self.each:
             what = self.each.replace("station", "set-up")
             return f"noise that differs from {what} to {what}" + (

@@ -200,14 +200,14 @@ def read_law(
 ) -> Law:
     """Law from its response and the text form of its regressor (see `describe`), at some places; raises ModelError."""
     if carrier not in RESPONSES:
-        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(RESPONSES)}")
+        raise ModelError(f"there is no response called '{carrier}'; responses are {', '.join(RESPONSES)}")
     driver, each = read_regressor(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
     if each and (stations or targets):
-        raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
+        raise ModelError(f"'{words}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
     owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
     driver = Regressor("product", factors=(driver,)) if owned == [driver] else driver
     if not targets and owned:
-        raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
+        raise ModelError(f"'{words}' applies to targets, which follow the law: {carrier} ~ {words}:TARGET,TARGET")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
         orders = {PLACE: 1.0, ("target",): float(len(targets))}
         factors = (
@@ -259,7 +259,7 @@ def read_regressor(words: str, recording: Recording, modes: int = MODES) -> Regr
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
+        f"'{words}' is not a regressor of this recording; expected words such as {'; '.join(EXAMPLES)}; with one of "
         f"{', '.join(covariates)}"
     )
 

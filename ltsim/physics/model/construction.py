@@ -366,6 +366,6 @@ def declared_construction(recording: Recording) -> Construction:
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:
         mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
-        message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
-        raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
+        message = f"stations {mirror} have a tracker with a steering mirror, the others have the source in the head"
+        raise NetworkError(f"{message}; calibrate them separately, or choose one construction for all")
     return construction_of_design(next(iter(designs.values()), ""))

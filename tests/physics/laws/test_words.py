@@ -122,7 +122,7 @@ def test_another_amount_for_each_target_goes_with_targets(recording: Recording) 
     law = read_law("height of targets in their nests", "the target, another at each", recording, targets=("T01", "T02"))
     assert len(law.parameters) == 2
     for words in ("the target, another at each", "time times the target, another at each"):
-        with pytest.raises(ModelError, match=r"goes with some targets, .*:TARGET,TARGET"):
+        with pytest.raises(ModelError, match=r"applies to targets, .*:TARGET,TARGET"):
             read_law("place of targets", words, recording)
 
 
@@ -131,7 +131,7 @@ def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
     assert law.each and law.stations == recording.stations
     assert len(law.parameters) == len(recording.stations)
     assert not read_law("elevation", "exp(-station-time / 8 min)", recording).each
-    with pytest.raises(ModelError, match="goes with all set-ups, not with S2"):
+    with pytest.raises(ModelError, match="applies to all set-ups, not to S2"):
         read_law("elevation", "time, in its own way at each set-up", recording, stations=("S2",))
 
 
@@ -149,7 +149,7 @@ def test_examples_are_read(recording: Recording) -> None:
         ("exp(-time / 0 min)", "above zero"),
         ("step(hall_temperature_c above 20 s)", "hall_temperature_c alone"),
         ("a wave in time, 3 periods a turn", "expected words such as"),
-        ("face times pressure", "'pressure' is nothing"),
+        ("face times pressure", "'pressure' is not a regressor"),
     ],
 )
 def test_what_is_not_understood_is_answered_with_what_is(recording: Recording, words: str, said: str) -> None:
