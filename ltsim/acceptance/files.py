@@ -44,7 +44,7 @@ class GroupEntry(Entry):
 
 TESTS = Table(
     "accept.csv",
-    "tests against the maker's limits",
+    "errors and limits of the tests",
     columns_of(
         TestEntry,
         name={"name": "test"},

@@ -235,7 +235,7 @@ def predicted(
     )
     chance = f"{100 * prediction.all_pass:.1f} %" if prediction.all_pass < 0.9995 else "more than 99.9 %"
     weakest = min(zip(prediction.passes, plan.tests, strict=True), key=lambda pair: pair[0])
-    sentence = f"{of} passes all {len(tests)} tests with a chance of {chance}"
+    sentence = f"{of} passes all {len(tests)} tests with a probability of {chance}"
     if weakest[0] < 0.9995:
         sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
     return AcceptanceFile(

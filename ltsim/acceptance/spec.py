@@ -220,9 +220,9 @@ class Acceptance(TomlSection):
         if self.recording is None and (self.standard is None) == (self.tests is None):
             raise ValueError("it should give either standard or tests")
         if self.standard == LENGTHS_OPEN and self.lengths is None:
-            raise ValueError("it should give lengths = FILE: no open text says where those of iso-10360-10 stand")
+            raise ValueError("it should give lengths = FILE: ltsim has no positions for the lengths of iso-10360-10")
         if self.lengths is not None and self.standard is None:
-            raise ValueError("it should give lengths beside a standard only; tests holds a whole plan")
+            raise ValueError("it should give lengths only with a standard; tests already holds the whole plan")
         if self.recording is not None and self.measured is not None:
             raise ValueError("it should give recording or measured, not both")
         return self

@@ -76,7 +76,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
         mean, covariance = calibration.values[0], calibration.covariance
-        of = "the instrument as it reads"
+        of = "the instrument without calibration"
         if acceptance.corrected:
             mean, of = mean - calibration.applied[0], "the corrected instrument"
     plan = AcceptancePlan(tests, built, limits, nominal.noise)
@@ -88,7 +88,7 @@ def _usable_calibration(path: Path) -> Calibration:
     """Calibration of the instrument; raises SetupError for a file of several instruments."""
     calibration = read_calibration(path)
     if len(calibration.instruments) > 1:
-        raise SetupError(f"{path}: is of {len(calibration.instruments)} instruments; the tests are of one")
+        raise SetupError(f"{path}: has {len(calibration.instruments)} instruments; an acceptance test needs one")
     return calibration
 
 
@@ -115,7 +115,7 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
         if name not in place:
             raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
         if name in entries:
-            raise SetupError(f"{file}: row {line}: test '{shown(name)}' stands there twice; give its largest error")
+            raise SetupError(f"{file}: row {line}: test '{shown(name)}' has two rows; keep its largest error")
         numbers = [
             comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
             for name in ("error_um", "U_um")
@@ -141,7 +141,7 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
     Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020) 108165.
     """
     if len(recording.stations) < 2:
-        raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
+        raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
     whole = recording.measured.all(axis=1) & ~adjustment.gross
@@ -226,9 +226,7 @@ def evaluated_result(
     if remaining:
         sentence += f"; {remaining} tests of the plan were not measured"
     if blunt:
-        sentence += (
-            f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
-        )
+        sentence += f"; for {blunt} the uncertainty exceeds a quarter of the limit, too much for a decision"
     content = AcceptanceFile(
         title=acceptance.title,
         kind="measured" if recording is None else "network",

@@ -24,16 +24,16 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFil
 
 DISPLACEMENTS = Table(
     "displacements.csv",
-    "what every common point did from the first epoch to the second",
+    "displacement of each common point from the first epoch to the second",
     (
         Column("target", "name", "text"),
-        Column("moved", "True where it moved", "flag"),
+        Column("moved", "True if the point moved", "flag"),
         *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
         *(Column(f"d{a}_um", "displacement, second less first epoch", sigma=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
-        *numbers("", ".1f", a_um="semi-axes of its 95 % ellipsoid", b_um="as a_um", c_um="as a_um"),
-        Column("p_value", "that it did not move, paid for all points tested", "chance"),
-        Column("visible_um", "smallest motion that is found in 4 of 5 cases, whatever its direction", shown=".0f"),
+        *numbers("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
+        Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
+        *numbers("", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"),
     ),
 )
 MAX_NAMED = 6
@@ -105,7 +105,8 @@ class Comparison(ResultFile):
         return [
             self.sentence,
             *self.notes,
-            f"no motion at all: {format_p(self.p_value)}; without what moved: {format_p(self.p_value_after)}",
+            f"p-value of no motion: {format_p(self.p_value)} for all points, "
+            f"{format_p(self.p_value_after)} for the points that did not move",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

@@ -121,7 +121,7 @@ def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, he
         needed = f"at least {held + 1} are needed to see one of them move"
         raise NetworkError(f"the {kind} share {len(common)} points; {needed}")
     if stable is not None and len(stable) < held:
-        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+        raise ModelError(f"{len(stable)} stable points do not define a frame; name at least {held}")
     return np.array([stable is None or name in stable for name in common])
 
 
@@ -174,7 +174,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
     common = []
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
-            raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
+            raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
         common.append(PRIORS)
     if (
         earlier.gauge is not None
@@ -293,7 +293,7 @@ def exchange_note(names: Sequence[str], order: Ints) -> str:
     """Sentence on names that are exchanged in the second epoch."""
     changed = np.flatnonzero(order != np.arange(len(order)))
     names_changed = listing([names[i] for i in changed.tolist()], len(changed))
-    return f"the names {names_changed} are exchanged in the second epoch: these points are compared by their places"
+    return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
 def datum_note(count: int) -> str:

@@ -63,10 +63,8 @@ class Evaluation:
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > MAX_CURVATURE:
-                gap = f"off by {self.curved[i]:.2g} of it"
-                warnings.append(
-                    f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak"
-                )
+                gap = f"deviation {self.curved[i]:.2g} of the uncertainty"
+                warnings.append(f"{what}: the result is not linear within its uncertainty ({gap}); improve the network")
             elif not self.agrees[i] and self.drawn.stable[i]:
                 warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
         if not self.drawn.stable.all():

@@ -58,7 +58,7 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
     local = points - middle
     extent = np.sqrt(np.mean(np.sum(local**2, axis=-1), axis=-1))
     if not np.all(extent > 0):
-        raise ModelError(f"the points of the {kind} are all at one place")
+        raise ModelError(f"the points of the {kind} coincide")
     local = local / extent[..., None, None]
     place, scale = middle[..., 0, :], extent[..., None]
     if near is not None:
@@ -70,7 +70,7 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
 
 def _fit_line(local: Floats, _near: Feature | None) -> Feature:
     _, s, v = np.linalg.svd(local, full_matrices=False)
-    _determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "have no direction of their own")
+    _determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
     along = np.einsum("...ni,...i->...n", local, direction)
     side = local - along[..., None] * direction[..., None, :]

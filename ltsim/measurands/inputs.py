@@ -32,7 +32,7 @@ SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqr
 """Standard deviation of each distribution of unit size; the size of a normal distribution is its standard deviation."""
 
 
-LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker guarantees"
+LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "specification"
 """Names of groups of observations; the last one is the prior of the instrument's constants."""
 
 

@@ -158,7 +158,7 @@ def _angle(chosen: Floats) -> Floats:
     first, second = chosen[..., 0, :] - chosen[..., 1, :], chosen[..., 2, :] - chosen[..., 1, :]
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
-        raise ModelError("an arm of the angle has no length")
+        raise ModelError("an arm of the angle has length 0")
     return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 

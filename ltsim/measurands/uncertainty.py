@@ -22,19 +22,22 @@ RESULTS = Table(
         Column("u", "standard uncertainty", form=".9g", shown=".2g"),
         Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
         Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
-        Column("mc_low", "end of its interval", form=".9g", like="U"),
-        Column("mc_high", "as mc_low", form=".9g", like="U"),
-        Column("agrees", "True where both intervals agree", "flag"),
-        *texts(judgement="against the tolerance, empty without one", largest_source="of its variance, with its share"),
+        Column("mc_low", "lower limit of the interval by Monte Carlo", form=".9g", like="U"),
+        Column("mc_high", "upper limit of the interval by Monte Carlo", form=".9g", like="U"),
+        Column("agrees", "True if the interval by propagation and the one by Monte Carlo agree", "flag"),
+        *texts(
+            judgement="accepted, rejected or undecided; empty without a tolerance",
+            largest_source="largest source of uncertainty, and its part of the variance",
+        ),
     ),
 )
 BUDGET = Table(
     "budget.csv",
-    "where the uncertainty comes from",
+    "contributions to the uncertainty",
     (
         *texts(task="name", result="name", source="of uncertainty"),
         *texts(type="A, B, or not included: no reading shows it", unit="of u"),
-        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+        *numbers(".6g", share="fraction of the variance", u="standard uncertainty from this source"),
     ),
 )
 CONFORMITY = Table(
@@ -52,7 +55,7 @@ CONFORMITY = Table(
 )
 HIDDEN = Table(
     "hidden.csv",
-    "errors that no reading shows, and that the uncertainty does not include",
+    "undetectable errors that the uncertainty does not include",
     (
         *texts(task="name", result="name", error="its description"),
         Column("change", "of the result, in its unit", digits=3),

@@ -126,7 +126,7 @@ def compare(
     if lists:
         raise ModelError("a list of coordinates is compared with another one alone")
     if free:
-        raise ModelError(f"{option('free=True')} is for lists of coordinates: what a recording leaves open is known")
+        raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
 
     def adjusted(recording: Recording) -> Adjustment:
         adjustment = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)

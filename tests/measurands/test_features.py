@@ -92,7 +92,7 @@ def test_many_sets_at_once_are_the_single_fits(kind: str) -> None:
 def test_points_that_determine_nothing_are_refused(kind: str) -> None:
     with pytest.raises(ModelError, match="needs at least"):
         fit(kind, np.zeros((MIN_POINTS[kind] - 1, 3)) + np.arange(MIN_POINTS[kind] - 1)[:, None])
-    with pytest.raises(ModelError, match="one place"):
+    with pytest.raises(ModelError, match="coincide"):
         fit(kind, np.ones((6, 3)))
     if kind != "line":
         on_a_line = np.outer(np.linspace(-1, 1, 8), [1.0, 2.0, 3.0])
