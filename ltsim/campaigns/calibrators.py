@@ -45,7 +45,7 @@ def fitted_effects(method: Method) -> tuple[Effect, ...]:
 def calibrator_of(method: Method, truth: CellTruth) -> Calibrator:
     """Calibrator of a method in a campaign file."""
     if method.method != "network" and not truth.recorded.all():
-        raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
+        raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
     built, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
         return SerialCalibrator(truth, built, effects, method.method, applied=method.applied)

@@ -123,11 +123,11 @@ def run_campaign(
                     store.write_shard(task.cell, task.shard, content)
                     progress(rows_of(campaign, task.shard))
             except WorkerError as problem:
-                raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
+                raise SetupError(f"{folder}: {problem}; finished shards are kept; continue with --resume") from None
     spared = len(cells) * campaign.shards - done - existing
     if spared:
         share = 100 * spared / (len(cells) * campaign.shards)
-        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed, since their cells stopped")
+        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed: their cells had converged")
     return Outcome(folder, done, existing, tuple(notes))
 
 
@@ -168,12 +168,12 @@ def _extended(
     if not resume:
         raise SetupError(
             f"{store.folder}: holds a campaign; continue it with --resume, name another --out, "
-            "or begin anew with --force"
+            "or start again with --force"
         )
     manifest = store.manifest()
     if not all(old.mark for old in manifest.cells):
         raise SetupError(
-            f"{store.folder}: begun by an earlier version of ltsim; begin anew with another --out, or with --force"
+            f"{store.folder}: started by an earlier version of ltsim; start again with another --out, or with --force"
         )
     before, ordered, remaining = manifest.settings, list[Cell](), list(cells)
     for old in manifest.cells:
@@ -184,8 +184,8 @@ def _extended(
                 "the scenario"
             ]
             raise SetupError(
-                f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / SOURCE}, or begin anew with another --out"
+                f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
+                f"continue with {store.folder / SOURCE}, or start again with another --out"
             )
         remaining.remove(same)
         ordered.append(same)
@@ -210,15 +210,15 @@ def _check_same(store: Store) -> list[str]:
         if then.get(name) != today[name]:
             before = shown(str(then.get(name)))
             raise SetupError(
-                f"{store.folder}: begun with {name} {before}, this is {today[name]}, whose rows may differ; "
-                "continue with the same version, or begin anew with another --out"
+                f"{store.folder}: started with {name} {before}, this is {today[name]}, whose rows may differ; "
+                "continue with the same version, or start again with another --out"
             )
     notes = []
     if (begun := manifest.commit) != (now := commit()):
         before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
-        notes.append(f"begun with {before}, continued with {after}; where the solver changed, rows may differ")
+        notes.append(f"started with {before}, continued with {after}; where the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor()):
-        notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
+        notes.append(f"started on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]
 
 
@@ -289,7 +289,7 @@ def _pending_shards(
             continue
         if state == "damaged":
             aside = store.quarantine(cell, shard)
-            notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
+            notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and computed again")
         waiting.append(task)
     return waiting, notes
 

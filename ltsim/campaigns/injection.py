@@ -81,7 +81,7 @@ def inject(
         raise ModelError(f"noncentrality: found {noncentrality:g}, expected more than 0")
     for cause in causes:
         if isinstance(cause, (list, tuple)):
-            raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")
+            raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
     changed = recording_of(recording)
     injector, injected = Injector(changed, ResidualSpace.of(adjust(changed, declared_construction(changed)))), []
     for number, cause in enumerate(causes):
@@ -125,7 +125,7 @@ def injection_curve(
         As of `inject`.
     """
     if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
-        raise ModelError("a curve needs one injection at least at each strength, and strengths above 0")
+        raise ModelError("a curve needs at least one injection at each strength, and strengths above 0")
     original = recording_of(recording)
     background = diagnose(original)
     rows = []
@@ -214,7 +214,7 @@ def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Gene
     elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
         candidates = asked.candidates(injector.space.adjustment)
     if not candidates:
-        raise ModelError(f"{effect.name} can act nowhere in this recording")
+        raise ModelError(f"{effect.name} has no place in this recording")
     chosen = candidates[int(rng.integers(len(candidates)))]
     return chosen, _values(chosen, sizes, injector, rng)
 

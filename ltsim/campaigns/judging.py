@@ -29,7 +29,7 @@ JUDGED = Table(
         *texts(calibration="its name"),
         *numbers(
             shown=".1f",
-            error_raw_um="readings as they are",
+            error_raw_um="readings without corrections",
             error_calibrated_um="readings corrected by the estimates, or by what is applied of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
@@ -48,7 +48,7 @@ class Judged(Result):
         first = next(iter(self.errors.values()))
         raw, floor = first.raw / MICROMETRE, first.true_parameters / MICROMETRE
         errors = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
-        return [f"Error of a new point: raw {raw:.1f} um, {errors}; by the true parameters {floor:.1f} um"]
+        return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"new_points": lambda: JUDGED.filled(self._rows())}

@@ -66,7 +66,7 @@ class Paired(Result):
 def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> Paired:
     """Paired comparison of methods; see `Results.paired`."""
     if len(between) != 1:
-        raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
+        raise ModelError("paired compares two methods, method=(A, B), or two levels of one factor")
     ((along, (first, second)),) = between.items()
     differences = []
     for common, this, other in _pairs(results, along, first, second):

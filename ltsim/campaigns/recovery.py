@@ -133,7 +133,7 @@ class Recovery(ResultFile):
 
     def verdict(self) -> str:
         """Text of the result in a few words."""
-        within = "the given tolerances" if self.tolerances else "its stated uncertainty"
+        within = "the given tolerances" if self.tolerances else "its declared uncertainty"
         if self.failures():
             return "the check fails"
         if not self.unchecked:
@@ -266,7 +266,7 @@ def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTol
     given = {}
     for name, words in tolerance.items():
         if name not in trial.names:
-            raise SetupError(f"the tolerance of '{name}' is of none of the parameters {', '.join(trial.names)}")
+            raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.names)}")
         unit = trial.units[trial.names.index(name)]
         value = in_unit(words, unit)
         if value is None or not value > 0:

@@ -113,11 +113,13 @@ def recovery_checks(
     if len(estimate) < MIN_TRIALS:
         raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
     if sigma is None and not tolerance:
-        raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give either")
+        raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give one of them")
     if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:
-        raise ModelError(f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give a sigma of each")
+        raise ModelError(
+            f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give one sigma per value"
+        )
     if unknown := [name for name in tolerance or () if name not in called]:
-        raise ModelError(f"the tolerance of '{unknown[0]}' is of none of {', '.join(called)}")
+        raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(called)}")
     chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
     checks = []
     for k in chosen:

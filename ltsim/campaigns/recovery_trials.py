@@ -73,13 +73,13 @@ class RecoveredParameter(Entry):
 PARAMETERS = Table("parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter))
 TRIALS = Table(
     "trials.csv",
-    "what was found in each trial that gave a result, one row a trial and parameter",
+    "estimates of the trials with a result, one row per trial and parameter",
     (
         *numbers(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
         *texts(parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"),
-        *numbers("r", truth="true value", estimate="what the calibrator found", sigma="that it states"),
+        *numbers("r", truth="true value", estimate="estimate of the calibrator", sigma="that it states"),
         *numbers(".6g", z="(estimate - truth) / sigma"),
-        *numbers("r", ltsim_estimate="what ltsim found in the same recording, where another calibrator is checked"),
+        *numbers("r", ltsim_estimate="estimate of ltsim from the same recording, where another calibrator is checked"),
     ),
 )
 

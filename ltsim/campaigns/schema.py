@@ -54,7 +54,7 @@ def _per_parameter(name: str, unit: str, group: Statistic, meaning: str) -> RowC
 def _criterion(kind: str, what: str) -> list[RowColumn]:
     sizes = {
         f"{kind}_{when}_{which}_um": f"{word} of {what}, {words}"
-        for when, words in (("before", "readings as they are"), ("after", "readings corrected"))
+        for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
     gain = {f"{kind}_improvement_percent": f"100 (1 - after / before) of the mean {kind} criterion"}
@@ -64,8 +64,8 @@ def _criterion(kind: str, what: str) -> list[RowColumn]:
 def _errors(prefix: str, what: str) -> list[RowColumn]:
     floor = "readings corrected by the true parameters: the floor of noise, and of what no parameter removes"
     sizes = {
-        f"{prefix}error_raw_um": f"{what}; readings as they are",
-        f"{prefix}error_calibrated_um": f"{what}; readings corrected as found",
+        f"{prefix}error_raw_um": f"{what}; readings without corrections",
+        f"{prefix}error_calibrated_um": f"{what}; readings corrected by the estimates",
         f"{prefix}error_true_parameters_um": f"{what}; {floor}",
     }
     return _columns("errors", "um", **sizes) + _columns(
@@ -125,7 +125,7 @@ def terms_of(statistic: str) -> tuple[str, ...]:
 
 ROWS = Table(
     "rows/cell-*/shard-*.parquet",
-    "one row a trial and method; settings of the cell stand behind its number",
+    "one row per trial and method; the settings of the cell follow its number",
     (
         *numbers(cell="number"),
         *texts(method="name"),
@@ -153,7 +153,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
         (
             *numbers(cell="number"),
             *settings,
-            *texts(method="name", column="of the rows", unit="of all that follows but trials"),
+            *texts(method="name", column="of the rows", unit="of the following columns, except trials"),
             *numbers(trials="that have it"),
             *numbers("r", mean="over them", deviation="standard deviation"),
             *numbers("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),

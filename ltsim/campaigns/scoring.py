@@ -101,9 +101,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            detail = (
-                f"its last line was: {shown(last, MAX_LINE_LENGTH)}" if last else "it wrote nothing to standard error"
-            )
+            detail = f"its last line was: {shown(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
             raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {detail}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
@@ -190,8 +188,8 @@ def check_true_parameters(names: Sequence[str], true: Collection[str], truth: Tr
     unknown = [name for name in names if name not in true]
     if unknown:
         raise SetupError(
-            f"the calibrator's parameter {unknown[0]} is not one that the simulated instrument "
-            f"({truth.construction}) has; recover with its own construction"
+            f"the simulated instrument ({truth.construction}) has no parameter {unknown[0]}, "
+            "which the calibrator gives; recover with the same construction"
         )
 
 

@@ -230,7 +230,7 @@ class Statistics:
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
             raise _damaged(self.folder, problem) from None
         except duckdb.Error as problem:
-            raise ModelError(f"the query fails: {' '.join(str(problem).split())}") from None
+            raise ModelError(f"the query failed: {' '.join(str(problem).split())}") from None
 
     def _quoted(self, column: str) -> str:
         if column not in self.columns:

@@ -82,7 +82,7 @@ class Store:
         try:
             return table_of(path)
         except (pa.ArrowException, OSError) as problem:
-            raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
+            raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
 
     def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
         """Check that shards are as they were written for their cells.
@@ -98,7 +98,7 @@ class Store:
                 continue
             label = _label(table_of(path))
             if label.get("campaign") != marks.get(int(label.get("cell", -1))):
-                raise ValueError(f"{name} is of another campaign")
+                raise ValueError(f"{name} belongs to another campaign")
 
     def digests(self) -> dict[str, str]:
         """Recorded digests of shards, by their path in the folder."""
@@ -116,11 +116,11 @@ class Store:
     def manifest(self) -> ManifestFile:
         """Manifest of the campaign; raises SetupError if there is none or it is damaged."""
         if not self.begun:
-            raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})")
+            raise SetupError(f"{self.folder}: the folder holds no campaign (no {MANIFEST})")
         try:
             return read_result(self.folder, ManifestFile)
         except RecordError as problem:
-            raise SetupError(f"{problem}; begin again in another folder, the rows in this one stay") from None
+            raise SetupError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
     def begin(self, manifest: ManifestFile, sources: Mapping[str, bytes]) -> None:
         """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
@@ -207,7 +207,7 @@ class Store:
             try:
                 lock.acquire()
             except Timeout:
-                raise SetupError(f"{self.folder}: another campaign is at work in this folder; wait for it") from None
+                raise SetupError(f"{self.folder}: another campaign runs in this folder; wait until it ends") from None
         try:
             yield
         finally:
@@ -222,7 +222,7 @@ class Store:
             reason = "the disk is full" if full else f"cannot be written ({problem.strerror or problem})"
             cure = "free some space" if full else "make it writable"
             raise SetupError(
-                f"{self.folder}: {reason}; finished shards are kept: {cure} and go on with --resume"
+                f"{self.folder}: {reason}; finished shards are kept: {cure} and continue with --resume"
             ) from None
 
 

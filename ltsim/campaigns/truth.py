@@ -241,10 +241,10 @@ def truth_of(
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
     if len(read) > 1:
-        raise SetupError("instruments: observables differ between the trackers; trials want the same of all")
+        raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
     work = fieldwork(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
-        raise SetupError("reflectors: trials in batch measure with one SMR; give all SMRs of the scenario one radius")
+        raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
     s, reference = work.sightings, None if like is None else like.recording
     if (
         like

@@ -162,7 +162,7 @@ def test_geometry_belongs_to_its_key() -> None:
 
 def test_variance_below_zero_is_refused_by_both() -> None:
     given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
-    with pytest.raises(SetupError, match="takes away more noise than there is"):
+    with pytest.raises(SetupError, match="makes a variance of the noise negative"):
         truth_of(given, 7).draw(7, 0)
-    with pytest.raises(SetupError, match="takes away more noise than there is"):
+    with pytest.raises(SetupError, match="makes a variance of the noise negative"):
         measure(fieldwork(given, 7), 7)

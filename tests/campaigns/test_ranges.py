@@ -74,7 +74,7 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
     reducer, slots = LayoutScorer(lost), np.arange(len(seen))
     out = reducer.reduce(reducer.blocks(lost.position, lost.yaw, slots, seen), slots[None], targets=True)
     assert not np.isfinite(out.information).any()
-    with pytest.raises(NetworkError, match="do not place target T01"):
+    with pytest.raises(NetworkError, match="do not determine target T01"):
         LayoutInformation.of(lost)
 
 
