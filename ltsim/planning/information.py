@@ -48,10 +48,10 @@ class LayoutInformation:
             raise NetworkError("no station sees a target")
         unseen = np.flatnonzero(~survey.visible.any(axis=0))
         if len(unseen):
-            raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")
+            raise NetworkError(f"target {survey.target_names[unseen[0]]} is not visible from any station")
         adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
         if adjustment.undetermined_targets:
-            raise NetworkError(f"the ranges from its stations do not place target {adjustment.undetermined_targets[0]}")
+            raise NetworkError(f"the ranges do not determine target {adjustment.undetermined_targets[0]}")
         return cls(survey, adjustment)
 
     @property

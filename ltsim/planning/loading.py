@@ -132,15 +132,15 @@ def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
 
 def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
     if made.goal.tolerances and not made.listed:
-        raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
+        raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
     given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]
     if given and not made.chooses:
         raise SetupError(
-            f"{file}: {' and '.join(given)} without budget.hours chooses nothing; give the hours that the work may "
-            "take, or say how it is done as [work] faces and repeats of the scenario"
+            f"{file}: {' and '.join(given)} without budget.hours has no effect; give the hours for the work, "
+            "or fix faces and repeats in the table [work] of the scenario"
         )
     if made.goal.diagnosis and not made.goal.effects:
-        raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
+        raise SetupError(f"{file}: goal.diagnosis has a weight, but goal.effects names no effect")
     count, min_stations = made.stations.count or len(scenario.stations), made.stations.min_stations_per_target
     if isinstance(min_stations, int) and min_stations > count:
         raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
@@ -157,7 +157,7 @@ def read_points(path: Path) -> tuple[Point, ...]:
         for name in table.further:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
-                raise RecordError(f"has the column '{shown(name)}' too many; {wanted}", file=path)
+                raise RecordError(f"has the unknown column '{shown(name)}'; {wanted}", file=path)
         return tuple(_point(table, i, path) for i in range(len(table.names)))
 
 
@@ -244,16 +244,14 @@ def _initial_places(made: PlanFile, scenario: Scenario, count: int) -> Floats:
     grid = np.concatenate([grid_over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
     grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
     if not len(grid):
-        raise SetupError(
-            "the floor has no place where a tripod may stand; widen it, move obstacles, or give a smaller grid_mm"
-        )
+        raise SetupError("the floor has no place for a tripod; enlarge it, move obstacles, or give a smaller grid_mm")
     visible = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
     useful = visible.sum(axis=1) >= MIN_TARGETS
     if not useful.any():
-        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+        raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
     placement = Placement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
     chosen = placement.stations(count, 1)
     if len(chosen) < count:
-        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or widen it")
+        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or enlarge it")
     return placement.position[chosen]

@@ -61,9 +61,9 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     best = search.fewest() if file.searches_count else search.at_count()
     if not np.isfinite(best.value):
         raise SetupError(OPEN)
-    heard.progress("judging tolerances and changes", SEARCH_SHARE)
+    heard.progress("check of tolerances and changes", SEARCH_SHARE)
     made = judge(search.file, scenario, best.survey)
-    heard.progress("judging tolerances and changes", 1.0)
+    heard.progress("check of tolerances and changes", 1.0)
     values = search.layouts.get((len(best.survey.position), len(best.survey.faces)), [])
     return replace(
         made,
@@ -221,7 +221,7 @@ class _Search:
             search_from_start(self.problem, SearchTask(counts[-1], self.ways[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.max_count"
-        return "the search found no layout; widen the floor or give more stations.max_count"
+        return "the search found no layout; enlarge the floor or give more stations.max_count"
 
     def options(self, layouts: Layouts) -> tuple[TradeoffPoint, ...]:
         """Best layout of every measuring procedure and number of repeats, in the order of cost."""
@@ -260,7 +260,7 @@ def _check_size(file: PlanFile, scenario: Scenario) -> None:
     if count > MAX_SETUPS:
         raise SetupError(
             f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {count:.2g} "
-            f"set-ups, the most is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
+            f"set-ups, the limit is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
         )
 
 
@@ -305,7 +305,7 @@ def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         return file
     if not reachable:
         raise problem
-    cure = "take a station out of stations.fixed" if len(site.fixed) else "widen the floor"
+    cure = "remove a station from stations.fixed" if len(site.fixed) else "enlarge the floor"
     raise SetupError(
         f"stations.min_stations_per_target requires {site.min_sights} of {count} stations to see every reflector, but "
         f"at most {reachable} can, and {limiting} is visible from the fewest places: set "

@@ -63,7 +63,7 @@ class ProposalEntry(Entry):
 
 NEXT = Table(
     "next.csv",
-    "proposals of further measurements, the best first",
+    "proposals of further measurements in the order of benefit",
     columns_of(
         ProposalEntry,
         "kind minutes sharper serves serves_factor distinguishes decides do",

@@ -56,7 +56,7 @@ def _headline(plan: PlannedNetwork) -> list[str]:
     name = plan.chosen.survey.target_names[worst]
     broken = f"The layout breaks a rule of the plan: {words_of(plan.chosen.broken)}. " if plan.chosen.broken else ""
     size = _shown(TARGETS, sigma[worst])
-    return [f"{broken}{work}. The plan states no tolerance; the worst point is {name} (sigma {size})."]
+    return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {size})."]
 
 
 def _tolerances(plan: PlannedNetwork) -> list[str]:
@@ -83,7 +83,7 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
         ]
         if not plan.stopped:
             if last.stations < plan.file.stations.max_count:
-                sentences.append("More stations were not searched, since the last two reduced the error by little.")
+                sentences.append("More stations were not searched, because the last two hardly reduced the error.")
             sentences.append("Try more floor area, more rounds or wider tolerances.")
         outcomes = _came_of(plan.tried, plan.site.min_sights)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
@@ -140,7 +140,7 @@ def _against_reference(plan: PlannedNetwork) -> list[str]:
     if reference.expected is not None and chosen.expected is not None:
         a, b = reference.expected, chosen.expected
         sentences.append(
-            "For errors of the size that the maker guarantees, calibration is expected to reduce the paper's distance "
+            "For errors within the specification, calibration is expected to reduce the paper's distance "
             f"criterion by {b.distance_improvement[0]:.0f} % and the coordinate criterion by "
             f"{b.coordinate_improvement[0]:.0f} % (scenario's layout: {a.distance_improvement[0]:.0f} % and "
             f"{a.coordinate_improvement[0]:.0f} %)."

@@ -169,7 +169,7 @@ def choose_reflectors(
     places = choice.places
     if len(places) < wanted:
         raise SetupError(
-            f"only {len(places)} places for reflectors are in sight of the stations, {wanted} are wanted; "
+            f"only {len(places)} places for reflectors are visible from the stations, expected {wanted}; "
             "add places or ask for fewer"
         )
     start = _start(places, np.arange(len(places)) < choice.n_present, wanted, site.reflector_spacing)
@@ -260,11 +260,11 @@ class Changes:
         """Sentence on the numbers of evaluated and useful changes."""
         if not self.tried["move"] + self.tried["add"]:
             return (
-                "No other place for a reflector was tried: give candidates as reflectors.on, reflectors.places or "
+                "No other place for a reflector was tested: give candidates as reflectors.on, reflectors.places or "
                 "reflectors.surfaces, and say which points of a list may go elsewhere as reflectors.movable."
             )
         return (
-            f"Tried one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
+            f"Tested one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
             f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
             f"{100 * MIN_GAIN:.1f} %."
         )

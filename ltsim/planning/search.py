@@ -103,7 +103,7 @@ class LayoutSearcher:
         worst = self.site.survey.target_names[int(np.argmin(share))]
         return (
             f"no place on the floor sees every reflector: {worst} is visible from {100 * share.min():.0f} % of the "
-            "places; move it, widen the floor, or set a smaller stations.min_stations_per_target"
+            "places; move it, enlarge the floor, or set a smaller stations.min_stations_per_target"
         )
 
     def layout(self, position: Floats, yaw: Floats) -> NormalBlocks:
@@ -229,7 +229,7 @@ class LayoutSearcher:
             f"the search found no layout of {self.stations} stations among {len(places.position)} places that are "
             f"{self.site.spacing:g} m apart and have every reflector in sight of {self.site.min_sights}"
             f"{f' (the closest one lacks sights of {lacking})' if lacking else ''}; lower "
-            "stations.min_stations_per_target or stations.spacing_mm, or widen the floor"
+            "stations.min_stations_per_target or stations.spacing_mm, or enlarge the floor"
         )
 
     def _bound(self, layout: NormalBlocks) -> NormalBlocks:

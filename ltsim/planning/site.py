@@ -200,7 +200,7 @@ class SearchSpace(ValueEquality):
         held = hidden[self.obstacles.holds(self.survey.points[hidden])] if self.obstacles else hidden[:0]
         names, within = ([self.survey.target_names[t] for t in indices] for indices in (hidden, held))
         low, high = (1e3 * height for height in self.heights)
-        cure = "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
+        cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
         if within:
             lie = "lies" if len(within) == 1 else "lie"
             cure = f"{listing(within, MAX_NAMED)} {lie} inside an obstacle: move points or bodies"
@@ -225,7 +225,7 @@ class SearchSpace(ValueEquality):
         visible = self.visible(places)
         enough = visible.sum(axis=1) >= MIN_TARGETS
         if not enough.any():
-            raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+            raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
         return Placement(places[enough], visible[enough], self.spacing, fixed, counted)
 

@@ -167,10 +167,10 @@ def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
 def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
     """Sentence on why distances with resolution `TAPE_RESOLUTION` do not determine one position; empty if they do."""
     if len(tapes) < 3:
-        return "Fewer than three points can be taped to: mark its place by another way."
+        return "Fewer than three points are within reach of a tape: mark the place in another way."
     if (firm := firmness(tapes, place)) * MAX_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
-        return f"The tapes cross too flat and leave its place open {wide}: mark it by another way."
+        return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
     at = np.array([mark.place[:2] for mark in tapes])
     rise = np.array([mark.metres for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
     first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
@@ -180,7 +180,7 @@ def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
     misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.metres for mark in tapes]
     if np.linalg.norm(mirror - place[:2]) < MAX_AMBIGUITY or np.abs(misses).max() > MIN_MISCLOSURE:
         return ""
-    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
+    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."
 
 
 def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
@@ -198,7 +198,7 @@ def checks(plan: PlannedNetwork) -> list[str]:
     """Checks in the order of measurement, one sentence each."""
     survey, file = plan.chosen.survey, plan.file
     sentences = [
-        f"Before the first pointing: the tracker is warm, its own checks are passed, the air has the planned "
+        f"Before the first pointing: the tracker is warm, its built-in checks are passed, the air has the planned "
         f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
         "At every station, before its first pointing: the head is within "
         f"{file.stations.position_tolerance_mm:g} mm of its planned position, and every point of its list is visible.",

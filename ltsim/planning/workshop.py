@@ -40,13 +40,13 @@ def survey_of(scenario: Scenario) -> Survey:
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
-        raise SetupError(f"the scenario names its trackers ({named}); a plan is for one, stated as [instrument]")
+        raise SetupError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
     if scenario.instrument.observables not in (OBSERVABLES, RANGES):
-        raise SetupError("instrument.observables: a plan is for ranges with both angles, or for ranges alone")
+        raise SetupError("instrument.observables: a plan needs ranges and both angles, or ranges only")
     layout, work = planned(scenario), scenario.work
     lean = 1.0 - layout.rotation[:, 2, 2]
     if lean.max() > MAX_TILT_DEFICIT:
-        raise SetupError(f"station {layout.stations[int(lean.argmax())]} leans; a plan knows upright stations only")
+        raise SetupError(f"station {layout.stations[int(lean.argmax())]} is tilted; a plan needs vertical stations")
     recording, _ = simulate(scenario.model_copy(update={"placing": EXACT}), 0)
     return Survey(
         setup=recording.setup,
@@ -219,7 +219,7 @@ def objective_of(plan: PlanFile, survey: Survey) -> Objective:
         elif kind.scope == "all":
             effects.append(kind())
         else:
-            message = "acts on single targets or readings; name effects of all or of a station"
+            message = "acts on single targets or readings; name effects that act on all or on a station"
             raise SetupError(f"goal.effects: {name} {message}")
     built = misalignment()
     sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None

@@ -67,7 +67,7 @@ def hall(tmp_path: Path) -> Path:
         ),
         ((300, 2000), (4000, 2000), "S1 stands outside the floor where tripods may stand (floor.corners_mm"),
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
-        ((4100, 900), (2000, 2000), "S1 stands where the floor is kept free (floor.keep_outs, floor.doors)"),
+        ((4100, 900), (2000, 2000), "S1 stands on floor that is kept free (floor.keep_outs, floor.doors)"),
         ((4500, 2800), (2000, 2000), "S1 stands inside an obstacle (workshop.obstacles)"),
     ],
 )

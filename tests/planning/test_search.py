@@ -162,9 +162,7 @@ def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None
 
 
 def test_all_targets_that_no_place_sees_are_named() -> None:
-    with pytest.raises(
-        SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; let them stand higher"
-    ):
+    with pytest.raises(SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; raise the heads"):
         searcher(site(limits=SightLimits(range_max=2.0))).from_start(0, 1)
 
 
