@@ -125,7 +125,7 @@ class Adjustment(Result):
         except SingularSystemError:
             message = "the pointings do not determine all poses and targets; let stations share more targets"
             if not recording.measured[:, 1:].any():
-                message = "ranges alone want four stations off one plane and six targets, or known lengths"
+                message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None
         return cls(problem, solution, np.zeros(len(recording), dtype=bool))
 

@@ -41,7 +41,7 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
     if len(common) < 3:
-        message = f"holds {len(common)} of the recording's targets, expected three off one line or more"
+        message = f"holds {len(common)} of the recording's targets, expected at least three that are not on one line"
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
@@ -92,7 +92,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     ahead = float(across @ along) / length if length else 0.0
     aside = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
     if aside < 1e-3 * max(length, 1e-3):
-        raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three off it")
+        raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three that do not")
     places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
     held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
     framed = _with_datum(recording, places, held)
@@ -115,7 +115,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
             message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
-            raise RecordError(f"{message}; coordinates without weight go with --frame", file=path, row=line)
+            raise RecordError(f"{message}; give coordinates without weight by --frame", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
             "known_axes": "".join(axis for axis, is_given_axis in zip("xyz", is_given, strict=True) if is_given_axis),
@@ -124,7 +124,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
         targets[name] = targets.get(name, Target()).model_copy(update=update)
         count += 1
     if not count:
-        raise RecordError("names none of the recording's targets; names must be written alike", file=path)
+        raise RecordError("names none of the recording's targets; the spelling must be the same", file=path)
     note = f"{count} control points of {path.name}, each with its standard deviation"
     setup = recording.setup.model_copy(update={"targets": targets})
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, note))
@@ -145,7 +145,7 @@ def _check_shape(here: Floats, there: Floats, source: str) -> None:
     try:
         motions = robust_align(here, there), robust_align(mirror, there)
     except NetworkError:
-        raise RecordError("its targets lie on one line, expected three off it or more", file=source) from None
+        raise RecordError("its targets lie on one line, expected at least three that do not", file=source) from None
     typical = float(np.median(misses(here, there, motions[0])))
     is_mirrored = float(np.median(misses(mirror, there, motions[1]))) * CLEARLY < typical
     pairs = np.triu_indices(len(here), 1)
@@ -156,7 +156,7 @@ def _check_shape(here: Floats, there: Floats, source: str) -> None:
     if abs(scale - 1.0) > SHAPE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
-    why = "they are left-handed" if is_mirrored else "is it another hall, or other names?"
+    why = "they are left-handed" if is_mirrored else "check the hall and the names"
     message = f"its coordinates do not fit the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
     raise RecordError(message, file=source)
 

@@ -118,7 +118,7 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
             booked_name, meant = names if booked[0] == a else names[::-1]
             numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
             sentence = (
-                f"At station {station} what is booked as {booked_name} (row {numbers}) is {meant}, {gap:.2f} m away."
+                f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
         finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
         yield finding, recording.readings[at[members]], nearest[members]
@@ -168,7 +168,7 @@ def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
             size = float(_misses(adjustment, recording.readings[at], at).max())
             where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
-            sentence = f"{len(at)} pointings at station {where} hold {slip.cause}."
+            sentence = f"{len(at)} pointings at station {where} contain {slip.cause}."
             observables = tuple(OBSERVABLES[c] for c in slip.columns)
             finding = GrossFinding(effect, at, stations, targets, observables, size, sentence)
             yield finding, readings[at], recording.target[at]

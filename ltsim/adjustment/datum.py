@@ -127,7 +127,7 @@ class InnerDatum:
         held[columns.ravel()] = motion[columns.ravel()]
         square = held.T @ motion
         if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
-            raise ModelError("these targets do not define a datum: choose at least three off one line")
+            raise ModelError("these targets do not define a datum: choose at least three that are not on one line")
         back = np.linalg.inv(square)
         response = spread(held)
         return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)

@@ -69,7 +69,7 @@ def adjust(
     effects : sequence of Signature
         Additional effects to estimate, free except for `held_to`.
     sigma : (n, 3) float, optional, [m, rad, rad]
-        Standard deviations of the readings; default the stated noise.
+        Standard deviations of the readings; default the declared noise.
     use : (n, 3) bool, optional
         Readings to use; default all.
     start : State, optional
@@ -175,8 +175,8 @@ def _check_normals(problem: NetworkProblem) -> None:
     turned = np.cross(problem.free[3:].T[:, None], off[None])
     if np.any(np.abs(turned) > SIDEWAYS * np.abs(off).max()):
         raise NetworkError(
-            "SMRs of several radii stand off along the normals of their nests, and nothing holds this network in the "
-            "frame of these: state three known points (known_mm), or levels where all such normals are vertical"
+            "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
+            "normals: declare three known points (known_mm), or levels where all such normals are vertical"
         )
 
 
@@ -193,7 +193,7 @@ def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustmen
     names = [name for name in chosen_datum(problem) if name not in lost] if chosen is None else list(chosen)
     for name in chosen or ():
         if name in lost:
-            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
+            raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
     if not names or solution.factor is None or not problem.free.shape[1]:
         return adjustment
     if adjustment.recording.setup.axes and chosen is None and len(names) >= LEAST:

@@ -248,7 +248,7 @@ def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     """
     a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
-        raise NetworkError("an alignment about the vertical needs points that are not above one another")
+        raise NetworkError("an alignment about the vertical needs points with different horizontal positions")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     rotation = about_z(float(yaw))
     return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))

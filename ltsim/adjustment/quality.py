@@ -105,7 +105,7 @@ def _how(here: Floats, there: Floats) -> str:
     if len(here) < 3 or not spread[0] > 0.0:
         return "check their coordinates"
     if spread[1] < 1e-6 * spread[0]:
-        return "all of them are at one place"
+        return "all of them coincide"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
     ways = {
         f"they fit scaled by {1 / scale:.6g}; check their unit": _miss(here * scale, there),
@@ -200,11 +200,11 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     names = listing([adjustment.recording.stations[s] for s in planned])
     if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):
         yield (
-            f"the stated places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
+            f"the declared places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
             f"as it is {as_is:.2g} m): the azimuths may be clockwise, and all coordinates mirrored"
         )
     else:
-        yield f"the stated places of the stations {names} miss the network by up to {as_is:.2g} m and were not used"
+        yield f"the declared places of the stations {names} miss the network by up to {as_is:.2g} m and were not used"
 
 
 def _undecided(adjustment: Adjustment) -> Iterator[str]:
@@ -215,11 +215,11 @@ def _undecided(adjustment: Adjustment) -> Iterator[str]:
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     two = measured_pairs.sum(axis=0) == 2
-    ends = {1: "its coordinates are those of one of them", 0: "it has no coordinates"}
+    ends = {1: "its coordinates are those of one of them", 0: "the target has no coordinates"}
     for stations, end in ends.items():
         names = [recording.targets[t] for t in np.flatnonzero(two & (used_pairs.sum(axis=0) == stations))]
         if names:
-            contradiction = "the positions from two stations differ and the data do not identify which one is right"
+            contradiction = "the positions from two stations differ and the data do not show which one is right"
             yield f"{listing(names)}: {contradiction}; {end}"
 
 
@@ -260,8 +260,8 @@ def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
     used = np.bincount(recording.station[adjustment.problem.use.any(axis=1)], minlength=count)
     for s in np.flatnonzero((used > 0) & (used < MIN_USED * whole)):
         yield (
-            f"station {recording.stations[s]} keeps {used[s]} of its {whole[s]} pointings: its position is doubtful; "
-            "check its names, units and sense of azimuth"
+            f"station {recording.stations[s]} has {used[s]} of its {whole[s]} pointings in use: its position is "
+            "uncertain; check its names, units and sense of azimuth"
         )
 
 
@@ -277,13 +277,13 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
     if bent:
         yield (
             f"the targets of station {listing(bent)} "
-            "hold its pose so weakly that its standard deviations, which are linear, are too small "
-            f"(curvature {bend.max():.2g}, trustworthy below {BENT:g}): give it targets off one line and apart"
+            "hardly determine its pose, so that its standard deviations (a linear approximation) are too small "
+            f"(curvature {bend.max():.2g}, trustworthy below {BENT:g}): add targets far apart and not on one line"
         )
     if adjustment.sigma0 > CONTRADICTION:
         yield (
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
-            "standard deviations are meaningless"
+            "standard deviations are not valid"
         )
 
 

@@ -44,7 +44,7 @@ WORDS: dict[Kind, str] = {
     "level": "the level of",
     "yaw": "the azimuth zero of",
     "mark": "the set-up of",
-    "axes": "the stated coordinates of",
+    "axes": "the declared coordinates of",
     "scale": "the scale of",
 }
 UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
@@ -132,9 +132,9 @@ class ReferenceTest(ReferenceValue):
                 f"the mark of {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else "its mark"
             )
             where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
-            where, cause = (where, f" (its height is stated too {cause})") if self.is_height else ("away from", "")
+            where, cause = (where, f" (its height is declared too {cause})") if self.is_height else ("away from", "")
             end = f"{mark}{cause} (w = {self.w:.3g}): its position is estimated separately"
-            return f"set-up {self.name} stands {self.error_text} {where} {end}"
+            return f"set-up {self.name} is {self.error_text} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
@@ -144,7 +144,7 @@ class ReferenceTest(ReferenceValue):
         if self.indistinguishable_from:
             both = ", ".join((self.name, *self.indistinguishable_from))
             size = f"{what} by {self.error_text}"
-            return f"{both} are inconsistent ({size}); the data do not identify which one is in error"
+            return f"{both} are inconsistent ({size}); the data do not show which one is wrong"
         rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
             rest = f"or the height of set-up {self.occupied_by} over it: excluded"

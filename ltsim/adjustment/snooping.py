@@ -138,8 +138,8 @@ def pose_defect(problem: NetworkProblem, state: State) -> str:
     if not len(few):
         return ""
     levelled = few[0] in problem.levels.station
-    what = "two targets that are not above one another" if levelled else "three targets off one line"
-    return f"station {recording.stations[few[0]]} sees fewer than {what}; a pose needs them"
+    what = "two targets that are not above one another" if levelled else "three targets that are not on one line"
+    return f"station {recording.stations[few[0]]} sees fewer than {what}, which a pose needs"
 
 
 # --- before the adjustment ----------------------------------------------------------------------------------------

@@ -365,7 +365,7 @@ class NetworkInitialiser:
         """Text of the lines of the plan without a determined length."""
         names = [*self._recording.targets, *self._recording.stations]
         lines = listing([f"{names[a]}-{names[b]}" for a, b in self._loose])
-        return f"; in plan nothing tells the length of the lines {lines}" if lines else ""
+        return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, loose: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
         """Result of `initial_network`: positions, rotations and targets, flags of unconnected targets."""
@@ -385,15 +385,15 @@ class NetworkInitialiser:
             most, pair_targets = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
             placed = pair_targets[self._have[pair_targets]]
             if most >= 3 and on_a_line(self._target_places()[placed]):
-                what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
+                what = f"the {most} targets that it shares with the network lie on one line; three that do not"
             else:
-                what = f"shares only {most} target{'s' * (most != 1)} with the rest of the network; at least three"
+                what = f"shares only {most} target{'s' * (most != 1)} with the network; at least three"
             raise NetworkError(
                 f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are "
-                f'missing), or rough coordinates of all; a station over a target states it with over = "TARGET"{loose}'
+                f'missing), or rough coordinates of all; for a station over a target, set over = "TARGET"{loose}'
             )
         if not self._have.any():
             raise NetworkError(
                 f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and what was "
-                "read from different stations does not meet in one point"
+                "the lines of sight from different stations do not meet in one point"
             )

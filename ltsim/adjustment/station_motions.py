@@ -124,7 +124,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
             parts = " and ".join(
                 _length(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
             )
-            moved = f"moves while it measures, by {parts} in all"
+            moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
                 order = sightings.order[effect.mask(sightings)[sightings.order] > 0]

@@ -46,7 +46,7 @@ UNDETERMINED = Table(
     "undetermined.csv",
     "combinations of parameters that are not determined",
     (
-        *texts(combination="coefficients, in units of the prior sigma", determined_by="the measurement that would"),
-        Column("information_percent", "share of the prior variance that the readings removed", shown=".1f"),
+        *texts(combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"),
+        Column("information_percent", "fraction of the prior variance that the readings removed", shown=".1f"),
     ),
 )

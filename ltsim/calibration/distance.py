@@ -110,7 +110,7 @@ def _fit(propagation: Propagation) -> Fit:
     mean, variance = propagation.chi2_moments()
     expected = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected > 0
-    status = "capped", "the cap on iterations was reached before the steps became small"
+    status = "capped", "the limit of iterations was reached before the steps became small"
     if estimate.converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
     return Fit(
@@ -133,7 +133,7 @@ def _undetermined(
         return result.undetermined_of(adjustment, construction, [list(estimate.undetermined)], advise=advise)
     names = construction.names_of(instruments)
     return tuple(
-        Combination(combination=d.coefficients(names), gain=d.gain, cure="use the network method, which names a cure")
+        Combination(combination=d.coefficients(names), gain=d.gain, cure="try the network method")
         for d in estimate.undetermined
     )
 

@@ -44,7 +44,7 @@ class RequestedEffect:
             how = f"use {option('noise_from_data=True')} to estimate the noise"
             raise ModelError(f"{name} changes the noise, not the readings; {how}")
         if isinstance(effect, Mistake):
-            raise ModelError(f"{name} is a mistake in the recording and has no size; ltsim diagnose corrects it")
+            raise ModelError(f"{name} is a blunder in the recording and has no size; ltsim diagnose corrects it")
         parameter_names = {p.name for p in effect.parameters}
         if not effect.place and parameter_names <= set(construction.names):
             raise ModelError(f"{name} is part of the ordinary calibration; confine it to a station, as in {name}:NAME")

@@ -53,7 +53,7 @@ CHANGES = Table(
         *texts(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
         Column("chi2", "weighted sum of squares of the differences", shown=".1f"),
         Column("parameters", "degrees of freedom"),
-        Column("p_value", "of such differences without a change", "chance", title="p"),
+        Column("p_value", "p-value of such differences without a change", "chance", title="p"),
     ),
 )
 COURSES = Table(
@@ -66,7 +66,7 @@ COURSES = Table(
         *texts(unit="of all numbers of the row"),
         Column("mean", "weighted mean of the estimates", digits=3),
         Column("spread", "standard deviation over the calibrations", digits=3),
-        Column("p_constant", "of the test that it did not change", "chance"),
+        Column("p_constant", "p-value of no change", "chance"),
     ),
 )
 FITS = Table(
@@ -202,7 +202,7 @@ class History(ResultFile):
         count = len(self.calibrations)
         for course in self.parameters:
             if len(course.values) != count or len(course.sigmas) != count:
-                raise ValueError(f"the parameter {course.name} has not one value and one sigma a calibration")
+                raise ValueError(f"the parameter {course.name} needs one value and one sigma per calibration")
         return self
 
 

@@ -94,7 +94,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
     for k in np.flatnonzero(freed).tolist():
         name, p = rows[k]
         sentences.append(
-            f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts "
+            f"{name} is {with_sigma(p.value, p.sigma, p.unit)} from the readings, which contradicts "
             f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
         if lengths and calibration.construction.parameters[k % size].prior_kind == "range_scale":
@@ -111,7 +111,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
-            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if it may be larger, state it in [instrument.prior.parameters]"
+            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if it may be larger, set it in [instrument.prior.parameters]"
         )
     if len(worst) > MOST_SENTENCES:
         sentences.append(f"{len(worst) - MOST_SENTENCES} more parameters contradict their prior")

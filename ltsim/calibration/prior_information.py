@@ -99,7 +99,8 @@ class EarlierCalibrations:
         common = [name for name in construction.names if name in self.parameters]
         if not common:
             raise RecordError(
-                f"earlier calibrations are of construction {self.construction}, no parameter of {construction.name}"
+                f"the construction {self.construction} of the earlier calibrations has no parameter of "
+                f"{construction.name}"
             )
         here = [construction.names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
@@ -107,7 +108,7 @@ class EarlierCalibrations:
         for i, name in enumerate(instruments):
             if len(self.instruments) > 1 and name not in self.instruments:
                 names = ", ".join(self.instruments)
-                raise RecordError(f"earlier calibrations know the instruments {names}, not '{name}'")
+                raise RecordError(f"earlier calibrations have the instruments {names}, not '{name}'")
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
             mean[i, here] = self.mean[k, there]
             covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]

@@ -250,7 +250,7 @@ def frame_of(adjustment: Adjustment) -> str:
     if free == 6 or not (points or zeros or not adjustment.open_heights.all()):
         return rest.removeprefix("is ")
     if not control and not problem.differences.names:
-        return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
+        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []
     return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
 

@@ -42,7 +42,7 @@ RESIDUALS = Table(
         *texts(observable="distance, azimuth or elevation"),
         *numbers(".6g", residual="observed minus adjusted, in `unit`"),
         *texts(unit="of the residual"),
-        *numbers(".4f", redundancy="share of the observation that others check, 0 to 1", w="normalised residual"),
+        *numbers(".4f", redundancy="fraction of the observation that others check, 0 to 1", w="normalised residual"),
     ),
 )
 
@@ -272,7 +272,7 @@ class Correction(Entry):
     def line(self) -> str:
         """Text of the error of a new point without and with the correction."""
         before, after = (number(error, 3) for error in self.point_errors_um)
-        noise = f"{number(self.noise_um, 3)} um of it is that point's own measurement noise"
+        noise = f"{number(self.noise_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 

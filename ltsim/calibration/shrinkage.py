@@ -180,10 +180,10 @@ class ScaledPrior:
         likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
         if self._is_something_else:
             contradict = f" and contradict each other by {self._rest:.2g} times their noise"
-            why = ", as no instrument has them" if self.scale > UNLIKELY else contradict
+            why = ", which no instrument has" if self.scale > UNLIKELY else contradict
             return (
                 f"the readings require parameters {self.scale:.2g} times the declared priors{why}: "
-                "something else causes the misfit, and no correction is applied"
+                "another cause explains the misfit, and no correction is applied"
             )
         if not self._is_free:
             return f"the readings contradict the declared priors: {likely}; the correction uses this scale"
@@ -208,8 +208,9 @@ class ScaledPrior:
             return full, ""
         share = float(np.sqrt((cautious @ by_unit @ cautious) / (full @ by_unit @ full)))
         if share < NOTHING:
-            return np.zeros_like(full), "no correction is applied: it may well make new points worse"
-        return cautious, f"{100 * share:.0f} % of the correction is applied: more may well make new points worse"
+            return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
+        limit = "more is likely to increase the errors of new points"
+        return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
     def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
         """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""

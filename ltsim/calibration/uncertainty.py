@@ -47,7 +47,7 @@ def uncertainty_sentences(result: UncertaintyBasis) -> list[str]:
     if result.uncertainty_factor > 1.0:
         sentences.append(
             "The readings contradict the model: all standard deviations are multiplied by sigma0 = "
-            f"{number(result.uncertainty_factor, 3)}. Where a single cause acts, coordinates may be off by more."
+            f"{number(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(
@@ -62,6 +62,7 @@ def uncertainty_sentences(result: UncertaintyBasis) -> list[str]:
     if result.hidden:
         sizes = "; ".join(f"{error.source}: {number(error.target_error_um, 2)} um (rms)" for error in result.hidden)
         sentences.append(
-            f"No reading shows the following errors of the targets, and no standard deviation includes them: {sizes}."
+            f"The readings do not show the following errors of the targets, and the standard deviations do not include "
+            f"them: {sizes}."
         )
     return sentences

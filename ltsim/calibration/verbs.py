@@ -105,7 +105,7 @@ def calibrate(
         raise unknown_name("method", method, ("network", *METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
-            raise ModelError("harmonics and degree go with a construction's name: this one is built already")
+            raise ModelError("harmonics and degree need a construction given by its name")
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
@@ -117,7 +117,7 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
     effects = each_of(with_effects)
     if box is not None and not method.startswith("equation-9"):
-        raise ModelError(f"{option('box')} goes with the methods equation-9 and equation-9-l1, not {method}")
+        raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
     source = recording_of(recording)
     if method == "network":
         extra_effects = [requested_effect(asked, source) for asked in effects]
@@ -126,7 +126,7 @@ def calibrate(
         )
     if any(options.values()) or prior is not None or effects:
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
-        raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")
+        raise ModelError(f"{listed} and {option('with_effects')} need {option('method')} network, not {method}")
     return reported(calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box))
 
 

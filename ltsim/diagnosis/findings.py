@@ -201,7 +201,7 @@ class Explained:
             f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
             for i, k in at
         )
-        return f" Most of it lies in the {', the '.join(names)}."
+        return f" Most of it is in the {', the '.join(names)}."
 
     def _p_located(self, member: int) -> float:
         """Probability of all explanations with the observables, place and covariates of a member.
@@ -237,7 +237,7 @@ class Explained:
             declared = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
-        implausible = " Such a size is hardly plausible for this cause: check it, and think of others."
+        implausible = " Such a size is hardly plausible for this cause: check other causes too."
         return implausible if _implausible(effect, estimates) else ""
 
     def _constants(self, effect: Tunable) -> tuple[Estimate, ...]:

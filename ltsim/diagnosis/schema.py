@@ -215,10 +215,10 @@ class InstrumentEntry(Entry):
 
 FINDINGS = Table(
     "findings.csv",
-    "findings, a row per parameter",
+    "findings, one row per parameter",
     (
-        *texts(effect="id of the catalogue, or `unknown`", stations="where it acts; empty for all"),
-        *texts(targets="where it acts; empty for all", observables="on which it acts"),
+        *texts(effect="id of the catalogue, or `unknown`", stations="place of the effect; empty for all"),
+        *texts(targets="place of the effect; empty for all", observables="on which it acts"),
         Column("probability", "of this name against all other explanations"),
         *texts(parameter="of the effect"),
         Column("value", "estimated size", sigma="sigma"),
@@ -234,7 +234,7 @@ FIT = Table(
         Column("chi2", "weighted sum of squares"),
         Column("degrees_of_freedom"),
         Column("ratio", "chi-square per degree of freedom", shown=".3f"),
-        Column("held_out_error", "normalised error on observations that the fit did not see", digits=3),
+        Column("held_out_error", "normalised error of held-out observations", digits=3),
     ),
 )
 UNDETECTABLE = Table(

@@ -154,8 +154,8 @@ def summarise(
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the declared noise (chi-square {before.chi2:.0f} for "
-            f"{before.dof} degrees of freedom; chance of a search like this finding as much in a clean "
-            f"recording: {100 * p_value:.0f} %)."
+            f"{before.dof} degrees of freedom; probability of such a finding in a recording "
+            f"without errors: {100 * p_value:.0f} %)."
         )
     if not findings:
         return (

@@ -34,8 +34,8 @@ BENCH = Table(
     "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
     numbers(
         ".4f",
-        angle_deg="turn of the table, 0 where the reflector looks at the interferometer",
-        length_um="length by the interferometer, from any zero",
+        angle_deg="angle of the table, 0 if the reflector faces the interferometer",
+        length_um="length by the interferometer, with any zero",
         probe_um="displacement of the sphere's surface at the probe, outward",
     ),
 )
@@ -109,7 +109,7 @@ class BenchFile(ResultFile):
             f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
             f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
             f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
-            f"what no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
+            f"part that no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
         ]
         if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
@@ -179,7 +179,7 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
     angle, length, probe = BENCH.parsed(read_text(path), path).numbers(*BENCH.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
-        raise RecordError("an angle is missing, expected one a row", file=path, row=int(lost[0]) + 1)
+        raise RecordError("an angle is missing, expected one per row", file=path, row=int(lost[0]) + 1)
     for what, column, fewest in (("length_um", length, FEWEST_LENGTHS), ("probe_um", probe, FEWEST_PROBED)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:

@@ -53,7 +53,7 @@ class Differences(ValueEquality):
 
 CRITERIA = Table(
     "criteria.csv",
-    "how far stations disagree, before and after a calibration",
+    "disagreement of the stations, before and after a calibration",
     (
         Column("criterion", "of the paper", "text"),
         Column("mean_um", "over pairs of targets, or targets", shown=".1f"),
@@ -213,7 +213,7 @@ def evaluate(
     stations, targets = len(recording.stations), len(recording.targets)
     if stations * targets > MOST_PLACES:
         raise NetworkError(
-            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts of it"
+            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )
     before = station_means(recording, measured_points(recording), use)
     after = None

@@ -60,10 +60,10 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     ----------
     recording : Recording, str or Path
     level : float
-        Chance of one false alarm in the whole recording, if noise and guarantee are as stated.
+        Chance of one false alarm in the whole recording, if noise and specification are correct.
     mpe : pair of float, optional
-        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the stated noise
-        and what the maker guarantees.
+        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the noise
+        and the specification of the instrument.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _set_up(
         Faces.of(two_faced, two_faced.with_readings(motionless), construction, family.alpha_per_test, mpe),
     )
     if faces is not None:
-        limit = "noise and guarantee" if mpe is None else "the limit"
+        limit = "noise and specification" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
         pair = tuple(rows[worst].tolist())
         items.append(Item.of(name, "two-face", not targets, sentence, targets=targets, rows=pair))
@@ -261,7 +261,7 @@ def _of_gross(visit: StationOccupation, gross: Mapping[int, float], rows: Ints, 
 def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, family: Family) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     if bump is None:
-        return Item.of(name, "bump", True, f"{name}: no motion at once")
+        return Item.of(name, "bump", True, f"{name}: no sudden motion")
     explained = visit.explained(bump.design(visit.sightings))
     order = np.argsort(recording.time, kind="stable")
     at = int(np.searchsorted(recording.time[order], bump.time))
@@ -293,13 +293,14 @@ def _closure(visit: StationOccupation, family: Family) -> Item:
     """
     name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
     if visit.dof < 1:
-        return Item.of(name, "closure", True, f"{name}: what is left of its repeated pointings tells no scatter")
+        return Item.of(name, "closure", True, f"{name}: too few repeated pointings for an estimate of the scatter")
     p, less = two_sided(visit.chi2, visit.dof)
     p = family.adjusted(p)
-    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the stated noise ({visit.dof} degrees of freedom)"
+    freedom = f"{visit.dof} degrees of freedom"
+    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
     if p >= family.level:
-        return Item.of(name, "closure", True, f"{scatter}, as it should be", p)
-    return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
+        return Item.of(name, "closure", True, f"{scatter}, as expected", p)
+    return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than declared", p)
 
 
 def _scattering(visit: StationOccupation, remaining: StationOccupation, family: Family) -> Item:

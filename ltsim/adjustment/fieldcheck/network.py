@@ -66,7 +66,8 @@ def with_target_noise(recording: Recording, plain: Adjustment) -> tuple[Recordin
     )
     shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
     names = tuple(recording.targets[t] for t in named)
-    sentence = f"readings to {', '.join(names)} scatter {ratio:.2g} times the stated noise, the others {rest:.2g} times"
+    scatter_words = f"scatter {ratio:.2g} times the declared noise, the others {rest:.2g} times"
+    sentence = f"readings to {', '.join(names)} {scatter_words}"
     return shown, (Item.of("", "closure", False, f"{sentence}: these targets are unstable", targets=names),)
 
 
@@ -151,12 +152,12 @@ def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list
     recording, out = fitted.recording, fitted.rejected.any(axis=1) & ~is_explained
     alone, less = two_sided(fitted.chi2, fitted.dof)
     p = family.adjusted(alone)
-    scatter = f"sigma0 {fitted.sigma0:.2f} where the stated noise gives 1 ({fitted.dof} degrees of freedom)"
+    scatter = f"sigma0 {fitted.sigma0:.2f} where the declared noise gives 1 ({fitted.dof} degrees of freedom)"
     if not out.any():
         passed = less or p >= family.level
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < RARE:
-            scatter += f", as noise brings it in one network of {1 / alone:.0f}"
+            scatter += f"; noise alone gives this in one of {1 / alone:.0f} networks"
         return [Item.of("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
     size = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)
     rows = np.flatnonzero(out)
@@ -176,7 +177,7 @@ def _of_levels(fitted: Adjustment, family: Family) -> list[Item]:
     for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
         if test.kind == "level" and (declared[test.name] / test.sigma_error.min()) ** 2 > CHECKED:
             p = family.adjusted(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
-            verb = "agrees with" if p >= family.level else "is off"
+            verb = "agrees with" if p >= family.level else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the others ({test.error_text})"
             items.append(Item.of(test.name, "level", p >= family.level, sentence, p))
     return items

@@ -83,7 +83,7 @@ ITEMS = Table(
 )
 TWO_FACE = Table(
     "two_face.csv",
-    "half two-face differences with their limits, a row a pair",
+    "half two-face differences with their limits, one row per pair",
     (
         *texts(station="name", target="name"),
         *numbers(row_1="of the first face, from 1", row_2="of the second face"),
@@ -190,7 +190,7 @@ def _answer(items: Sequence[Item], causes: Sequence[Item], setups: int) -> str:
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         return f"no-go: {failed[0].sentence}{more}"
-    return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and guarantee"
+    return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and specification"
 
 
 @dataclass(frozen=True)

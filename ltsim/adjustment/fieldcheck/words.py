@@ -64,7 +64,7 @@ def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -
     """Sentence on the outliers among the pointings of a set-up."""
     recording, name = visit.recording, visit.recording.stations[0]
     if not gross:
-        return f"{name}: no pointing stands out"
+        return f"{name}: no outlier"
     first = recording.targets[recording.target[gross[0]]]
     again = np.flatnonzero(recording.target == recording.target[gross[0]])
     others = listing([str(rows[i]) for i in gross[1:]])
@@ -94,7 +94,7 @@ def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) ->
         return f"{name} drifts {within}{_motion(explained)}"
     lean, sigma = explained.size(TILT)
     if not sigma < VAGUE:
-        return f"{name}: no drift of the station shows {within}; what was measured again tells little of its level"
+        return f"{name}: no drift of the station detected {within}; the repeated pointings hardly determine its level"
     level = with_sigma(lean / MICRORADIAN, sigma / MICRORADIAN, "urad")
     return f"{name}: no drift of the station {within} (level {level})"
 
@@ -108,7 +108,7 @@ def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: boo
         for value, sigma, (what, name, unit, most) in zip(explained.values, spread, ZEROS, strict=True)
         if sigma * duration < most
     ]
-    end = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
+    end = f" ({', '.join(parts)} over the occupation)" if parts else "; the repeated pointings hardly determine it"
     return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{end}"
 
 
@@ -118,7 +118,7 @@ def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[s
     names = [recording.targets[t] for t in shown]
     sizes = [length(visit.spread(int(t))) for t in shown]
     low, high = (f"{sizes[i]} at {names[i]}" for i in (-1, 0))
-    sentence = f"it belongs to the targets ({low} to {high} along each axis), not to range or air"
+    sentence = f"the targets cause it ({low} to {high} along each axis), not range or air"
     return sentence, tuple(names[: (len(names) + 1) // 2])
 
 

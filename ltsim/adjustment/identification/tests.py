@@ -191,8 +191,8 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         factor = noise_factor(fit, h)
         what = "The readings" if h.acts_on == "noise" else f"The readings of the {h.acts_on}"
         of = f" {'from' if h.stations else 'to'} {at}" if at else ""
-        cure = "state the noise as it is in the set-up" if not at else "measure again, or state it so in the set-up"
-        return f"{what}{of} scatter {factor:.2g} times as much as stated (sigma); {cure}."
+        cure = "declare this noise in the set-up" if not at else "measure again, or correct the set-up"
+        return f"{what}{of} scatter {factor:.2g} times as much as declared (sigma); {cure}."
     if isinstance(h.change, Omission):
         miss, unit, factor = _missed(fit, h)
         plural = h.change.value.kind == "point"
@@ -208,18 +208,18 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         cause = cause or ("another SMR or prism" if h.targets else "another SMR, or a wrong distance constant")
         return f"The distances {'to' if h.targets else 'from'} {at} are {size} too {more}: {cause}."
     if h.kind == "constant-offset":
-        return f"The elevations from {at} are off by {size}: another vertical index at this set-up."
+        return f"The elevations from {at} are wrong by {size}: another vertical index at this set-up."
     if h.kind == "scale-error":
         return f"The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
     if h.kind == "reference-scale":
-        causes = "a temperature, an expansion or the scale of the distances is not as stated"
+        causes = "a temperature, an expansion or the scale of the distances is not as declared"
         return f"The reference lengths and the distances differ in scale by {size}: {causes}."
     if h.kind == "reflector-radius":
         cause = usual_radius(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
     if h.kind == "station-drift":
-        return f"Station {at} moved evenly while it measured, by {size} in all."
+        return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
     between = _between(fit, h)
     if h.kind == "orientation":
         return f"The horizontal circle of {at} was turned by {size} {between}."
@@ -246,7 +246,7 @@ def _between(fit: Fit, h: Hypothesis) -> str:
     rows = s.order[acts[s.order]]
     at = int(np.searchsorted(s.time[rows], since))
     if not 0 < at < len(rows):
-        return "while it was measured"
+        return "during its measurement"
     return f"between rows {rows[at - 1] + 1} and {rows[at] + 1}"
 
 

@@ -74,7 +74,7 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
-        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be told apart here")
+        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
     best: Explanation | None = None
     least = float(space.residual @ space.residual)
     for effect in kind.candidates(space.sightings):
@@ -82,7 +82,7 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
         if sum_of_squares < least:
             least, best = sum_of_squares, Explanation(effect, values)
     if best is None:
-        raise ModelError(f"{name} leaves no trace in this recording; no size of it can be taken from it")
+        raise ModelError(f"{name} has no signature in this recording, so its size cannot be estimated from it")
     return best
 
 

@@ -54,7 +54,7 @@ ADVICE = {
     "close here": "measure the first {count} targets of {station} again before leaving it",
     "reverse here": "measure all targets of {station} again in the reverse order",
     "look again": "measure {targets} from {station} {count} more times, without touching the reflector",
-    "to and fro": "measure all targets of {station} {count} more times, to and fro",
+    "to and fro": "measure all targets of {station} {count} more times, forward and backward",
     "unmeasured": "measure from {station} the targets it has not measured ({targets})",
     # a further set-up
     "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
@@ -70,13 +70,13 @@ ADVICE = {
     "other face and near": "measure in both faces, and add reflectors at 1 to 1.5 m from two stations",
     # what it brings
     "decided": "{do}: expected chi-square between {first} and {others} from {now} to {then}",
-    "left open": "; nothing that was tried tells it from {others} as well",
-    "undecided": "nothing that was tried tells {first} from {others} (expected chi-square {then}, {needed:.0f} would); "
+    "left open": "; no tested measurement also separates it from {others}",
+    "undecided": "no tested measurement separates {first} from {others} (chi-square {then}, {needed:.0f} needed); "
     "an independent measurement of the cause would",
     "cause": "an independent measurement of its cause",
     "determined": "{do} (gain {now:.2f} to {then:.2f})",
     "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
-    "not determined": "none of the measurements that were tried shows it; only a tighter guarantee would",
+    "not determined": "no tested measurement determines it; only a tighter specification does",
 }
 """Sentences of advice by kind of remedy: the action, and its benefit."""
 
