@@ -206,7 +206,8 @@ HeldOut = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
-        help="5-fold cross-validation: search without each fifth of the readings and predict it; default: if small.",
+        help="5-fold cross-validation: five searches without one fifth of the readings, which they predict; "
+        "default: for small recordings.",
     ),
 ]
 

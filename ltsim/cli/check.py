@@ -31,14 +31,14 @@ MpeOption = Annotated[
     typer.Option(
         "--mpe",
         metavar="A,B",
-        help="Limit of two-face differences as lengths, A um + B um/m of the range; default from the noise and the "
+        help="Limit of two-face differences as lengths, A um + B um per metre of range; default from the noise and the "
         "specification of the instrument.",
     ),
 ]
 Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows, and report problems at once.")]
 AcceptFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
 Template = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
-BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
+BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
 POLL_INTERVAL = 1.0
 """Interval [s] between two checks of the files of a growing recording."""
 

@@ -42,13 +42,13 @@ VERBS = {
     "convert": ("convert", "convert a recording between formats"),
     "effects": ("effects", "the catalogue of physical effects"),
     "inject": ("simulate", "add the effect of a fault to a recording; test whether it is detected"),
-    "diagnose": ("adjustment", "test whether recording and model agree; locate and name what does not"),
+    "diagnose": ("adjustment", "test whether recording and model agree; locate and name the causes"),
     "history": ("adjustment", "an instrument's parameters over several calibrations"),
     "plan": ("plan", "plan stations and reflectors, or the next measurement"),
     "report": ("view", "write one offline page about a folder of results"),
     "uncertainty": ("check", "uncertainty of lengths, circles, poses: budget and verdict"),
     "accept": ("check", "acceptance tests of a tracker: predicted or evaluated"),
-    "bench": ("check", "a reflector's range error against incidence from its bench test"),
+    "bench": ("check", "range error of a reflector against incidence, from a bench test"),
     "view": ("view", "show the workshop in 3D"),
 }
 """Module and help line of each command."""

@@ -36,14 +36,14 @@ NominalFile = Annotated[
     FILE,
 ]
 PerTrial = Annotated[
-    bool, typer.Option("--per-trial", help="Draw stations and targets anew, as in a campaign with geometry per trial.")
+    bool, typer.Option("--per-trial", help="Draw new stations and targets, as in a campaign with geometry per trial.")
 ]
 Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
 Causes = Annotated[
     list[str],
     typer.Argument(
         metavar="EFFECT...",
-        help="Effects of the catalogue, or laws as 'CARRIER ~ DRIVER', each with :STATION,TARGET,CONSTANT=VALUE,"
+        help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR', each with :STATION,TARGET,CONSTANT=VALUE,"
         "PARAMETER=VALUE; values that are not given are drawn.",
     ),
 ]
@@ -56,7 +56,7 @@ PutIn = Annotated[
     FILE,
 ]
 Curve = Annotated[
-    bool, typer.Option("--curve", help="Inject it at six strengths; report the shares detected, located and named.")
+    bool, typer.Option("--curve", help="Inject it at six strengths; report the fractions detected, located and named.")
 ]
 
 

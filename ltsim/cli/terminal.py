@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 File = TypeVar("File", bound="ResultFile")
 PROGRESS_DELAY = 10.0
 """Time [s] after which a pipe receives a line of progress."""
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Terminal:
     """Terminal output of one command."""
 
     quiet: Quiet = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print only the answer, as JSON.")] = False
 
     @property
     def silent(self) -> bool:

@@ -142,7 +142,7 @@ def _(result: Recovery) -> Figure:
     shown = trials.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
     rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.names, ends, strict=True)}
-    label = f"error / {'stated sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
+    label = f"error / {'declared sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
     return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
 
 

@@ -25,7 +25,7 @@ def _blocks(plan: Plan) -> list[Block]:
     )
     note = (
         "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
-        "are from the centre of the head to the reflector. Two distances set the place, the third checks it."
+        "are from the centre of the head to the reflector. Two distances define the place, the third checks it."
     )
     note = " ".join([note, *(f"{s.name}: {s.lacking}" for s in stations if s.lacking)])
     blocks: list[Block] = [

@@ -126,7 +126,7 @@ def swept(
 def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
     """Figure of the means of a statistic along a factor, one line per method, as of `Results.plot`."""
     if not along:
-        names = " or ".join(f.name for f in results.factors) or "none, since nothing varies"
+        names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
         raise ModelError(f"along is empty; give a factor of the campaign: {names}")
     axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")

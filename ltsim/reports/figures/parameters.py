@@ -203,7 +203,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
         ax.barh(places, 100 * share, left=100 * start, height=0.62, color=colour, label=name)
         start += share
     ax.set_xlim(0, 100)
-    ax.set_xlabel("share of the variance [%]")
+    ax.set_xlabel("part of the variance [%]")
     ax.grid(visible=False, axis="y")
     style.legend_of(figure, [ax], ncols=2)
     return figure

@@ -10,7 +10,7 @@ from ltsim.measurands.comparison import Comparison
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import Label, place_labels
 
-VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
+VIEWS = (("seen from above", 0, 1), ("side view", 0, 2))
 
 
 @style.styled
@@ -114,7 +114,7 @@ def _faces(ax: Axes, check: Check) -> None:
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.quiet_axis(ax)
     ax.set_title("Half two-face differences over their limits")
-    ax.set_ylabel("share of the limit")
+    ax.set_ylabel("fraction of the limit")
     if not names:
         ax.text(0.5, 0.5, "no target was measured on both faces", transform=ax.transAxes, ha="center")
         ax.set_xticks([])

@@ -89,11 +89,11 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
             here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
                 _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
-            _dots(ax, residuals, here, covariate, color=style.AFTER, label="where the finding acts", ms=4.0)
+            _dots(ax, residuals, here, covariate, color=style.AFTER, label="place of the finding", ms=4.0)
             _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
             w = normalised[here]
             size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
-            ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
+            ax.set_title(f"{word}: rms {size:.2f} of the noise", fontsize=8, fontweight="normal")
         line[0].set_ylabel(_reading(observable))
     for ax in grid[-1]:
         ax.set_xlabel(axis_text(covariate))

@@ -67,7 +67,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     check_source(content, recording, context.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
-        words = "the noise was estimated from the same readings, so that the global test does not apply"
+        words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in SETTLED
     targets, residuals = (context.file(table.file, content) for table in (TARGETS, RESIDUALS))
     pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
@@ -103,7 +103,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         blocks.append(
             BulletList("Effects estimated with the calibration", [effect.sentence for effect in content.effects])
         )
-    note = "Information: share of the prior variance that the recording removes; 0 % means that it adds nothing."
+    note = "Information: part of the prior variance that the recording removes; at 0 % it adds nothing."
     blocks += undetermined("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
@@ -202,12 +202,12 @@ def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Bl
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
     blocks += table_block("Outlying readings", OUTLIERS.filled(content.outliers))
-    note = "Factor: estimated over stated standard deviation; typical sigma: median over the readings."
+    note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
     return blocks + table_block("Noise estimated from the readings", NOISE.filled(content.noise), note=note)
 
 
 def _reference_values(content: Calibration) -> list[TableBlock]:
-    note = "Residual: stated minus adjusted value; error: estimate from all other observations, +- one sigma."
+    note = "Residual: declared minus adjusted value; error: estimate from all other observations, +- one sigma."
     shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
     return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)

@@ -41,7 +41,7 @@ LABELS = MappingProxyType(
     {
         "distance_improvement_percent": "distance criterion, improvement [%]",
         "coordinate_improvement_percent": "coordinate criterion, improvement [%]",
-        "share_removed": "share of the correctable error removed",
+        "share_removed": "fraction of the correctable error removed",
         "target_error_um": "error of the targets [µm]",
     }
 )
@@ -222,7 +222,7 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
         if rows and len(blocks) < MAX_CELLS:
             place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(Picture(f"Coverage: {method}{place}", partial(coverage, rows), coverage_words(rows)))
-    text = "z: (estimate - truth) / stated sigma; correct sigmas give mean 0 and standard deviation 1."
+    text = "z: (estimate - truth) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
 

@@ -206,7 +206,7 @@ def _finding(
     sizes = [p.model_copy(update={"name": parameter_words(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place(finding.where)}",
-        "no network fits the readings without it"
+        "without it, no network fits the readings"
         if evidence.chi2_drop >= LARGEST_GAIN
         else f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
@@ -277,8 +277,8 @@ def _place_of(effect: Any) -> str:
 
 def _fit(content: Diagnosis) -> list[TableBlock]:
     note = (
-        "Held-out error: 5-fold cross-validated prediction error over the stated noise (or the estimated noise, if "
-        "larger); 1 is as good as the noise allows."
+        "Held-out error: 5-fold cross-validated prediction error over the declared noise (or the estimated noise, if "
+        "larger); 1 is the limit set by the noise."
     )
     return table_block("Fit before and after", content.table("fit"), note=note)
 

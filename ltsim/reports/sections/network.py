@@ -102,7 +102,7 @@ def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list
         return []
     workshop = shown()
     text = (
-        "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
+        "Seen from above. Do not place a reflector on the floor inside a shadow circle: the elevation limit of the "
         "station hides it"
     )
     drawn = "; ".join([text, *workshop.notes]) + "."

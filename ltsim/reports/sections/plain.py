@@ -96,7 +96,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
-    caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
+    caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1."
     note = f"Assumed: {content.assumption}." if content.assumption else ""
     ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MAX_TESTS]
     blocks: list[Block] = [
@@ -140,11 +140,11 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
-    caption = "Contributions to the variance of each result; the widest bar is the best to improve."
+    caption = "Contributions to the variance of each result; improve the source with the widest bar."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    blocks += table_block("Errors that no reading shows", content.table("hidden"), note=HIDDEN)
+    blocks += table_block("Undetectable errors", content.table("hidden"), note=HIDDEN)
     blocks += [BulletList("Warnings", content.warnings)] if content.warnings else []
-    fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
+    fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)

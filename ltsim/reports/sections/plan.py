@@ -71,7 +71,7 @@ def _tolerances(content: Plan) -> list[Block]:
     level = content.settings.goal.level_pct
     over = frozenset(i for i, is_met in enumerate(asked.column("met")) if not is_met)
     blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
-    return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
+    return [*blocks, *table_block("Loss of a station or a sight", content.table("losses"))]
 
 
 def _changes(content: Plan) -> list[Block]:
@@ -150,7 +150,7 @@ def _effects(content: Plan) -> list[Block]:
     """Tables of the smallest detectable effects, effects that are hard to separate, and undetectable effects."""
     note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
-    note = "Share of the signature of the first effect that the second one explains."
+    note = "Fraction of the signature of the first effect that the second one explains."
     blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.silent:
         blocks.append(BulletList("Undetectable effects", content.silent))
