@@ -193,13 +193,11 @@ def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
 
 
 def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path, capsys):
-    with pytest.raises(
-        ModelError, match="robust, noise_from_data, datum, prior and with_effects go with method network"
-    ):
+    with pytest.raises(ModelError, match="robust, noise_from_data, datum, prior and with_effects need method network"):
         lt.calibrate(recording, method="distance", robust=True)
     lt.write(recording, tmp_path / "rec")
     assert run(["calibrate", str(tmp_path / "rec"), "--method", "distance", "--robust"]) == 2
-    assert "--prior and --with go with --method network" in capsys.readouterr().err
+    assert "--prior and --with need --method network" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
