@@ -1,4 +1,4 @@
-"""Options that several verbs share, and options made from the parameters of public functions."""
+"""Options that several commands share, and options generated from the parameters of public functions."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ def _number(text: str) -> float:
 
 
 def _toml(text: str) -> Any:
-    """A TOML value; text that is not valid TOML is returned as it is."""
+    """Value of a TOML text; the text itself if it is not valid TOML."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
