@@ -41,7 +41,7 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
     if len(common) < 3:
-        message = f"holds {len(common)} of the recording's targets, expected at least three that are not on one line"
+        message = f"contains {len(common)} of the recording's targets, expected at least three that are not on one line"
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
@@ -114,7 +114,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
             continue
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
-            message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            message = f"has no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             raise RecordError(f"{message}; give coordinates without weight by --frame", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
@@ -124,7 +124,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
         targets[name] = targets.get(name, Target()).model_copy(update=update)
         count += 1
     if not count:
-        raise RecordError("names none of the recording's targets; the spelling must be the same", file=path)
+        raise RecordError("contains none of the recording's targets; the spelling must be the same", file=path)
     note = f"{count} control points of {path.name}, each with its standard deviation"
     setup = recording.setup.model_copy(update={"targets": targets})
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, note))

@@ -147,8 +147,8 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
         numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
         where = "above" if size > 0 else "below"
         sentence = (
-            f"From station {station} the pointing to {target} (row {numbers}) lands {abs(size) / MILLIMETRE:.1f} mm "
-            f"{where} it: a height of the target or the instrument that was not stated so."
+            f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
+            f"{where} the target: the height of the target or the instrument is wrong."
         )
         rows_ = at[members]
         finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)

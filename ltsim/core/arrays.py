@@ -52,5 +52,5 @@ def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     if not fits:
         raise ModelError(f"{name} has shape {array.shape}, expected {shape} (-1: any length)")
     if not np.all(np.isfinite(array)):
-        raise ModelError(f"{name} holds a value that is not finite")
+        raise ModelError(f"{name} contains a value that is not finite")
     return array

@@ -111,9 +111,9 @@ class Inputs(ValueEquality):
         Raises ModelError for points or axes that the list lacks, and for sources that act on readings.
         """
         if tasks.type_b:
-            raise ModelError("a list of coordinates holds no readings: type_b acts on readings; give their recording")
+            raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
         if len(coordinates.axes) < 3:
-            raise ModelError(f"the list holds {coordinates.axes} alone; tasks need x, y and z")
+            raise ModelError(f"the list has only {coordinates.axes}; tasks need x, y and z")
         names = _used(tasks)
         for name in names:
             if name not in coordinates.names:
@@ -249,7 +249,7 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
     except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
-        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")
+        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; declare it as the instrument's noise")
     for what, wanted, choices in (
         ("station", entry.stations, recording.stations),
         ("target", entry.targets, recording.targets),
