@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.reliability import critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.significance import MAJORITY, UNCHECKED
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import reweighted
 from ltsim.adjustment.structure import refusing_singular
@@ -30,16 +31,18 @@ LARGEST_ERROR = 1e-3
 WORKSHOP = 10.0
 """[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
 FACTOR = 30.0
+"""Ratio of a miss to the robust standard deviation of all misses above which a pointing is a gross error: that of no
+noise."""
 PASSES = 20
+"""Linear steps at most from approximate coordinates until no gross miss shrinks."""
 SETTLED = 0.9
 """Ratio of successive gross misclosures below which an iteration is not converged."""
 RELAXATIONS = 8
+"""Reweightings before snooping: its single steps correct what these leave."""
 ROUNDS = 20
 """Largest number of solutions until the set of rejected readings is stable; readings that still alternate are
 borderline.
 """
-HALF = 0.5
-"""Fraction of a set-up's readings above which they are rejected together if the rest does not determine its pose."""
 STEPS = 10
 """Largest number of iterations of an intermediate solution; the last one converges."""
 UNPREDICTED = 100.0
@@ -263,7 +266,7 @@ def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
     )
-    return np.asarray(out > HALF * used)
+    return np.asarray(out > MAJORITY * used)
 
 
 def whitened_readings(problem: NetworkProblem, state: State) -> Floats:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.significance import FAR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
@@ -22,11 +23,10 @@ HUBER, CAUCHY = 2.0, 2.385
 """Residuals, in robust standard deviations, above which Huber's weights decrease, and at which Cauchy's weights are one
 half; the efficiencies for normal residuals are 97 and 95 %.
 """
-FAR, MANY = 50.0, 0.02
-"""Residual, in declared standard deviations, that noise does not explain, and fraction of such readings above which
-they are many.
-"""
+MANY = 0.02
+"""Share of readings with residuals above `FAR` declared standard deviations that is many."""
 STEPS = 25
+"""Reweightings at most, each with a linear step."""
 STILL = 1e-2
 """Squared length of a step, in standard deviations, below which the iteration has converged."""
 
@@ -120,8 +120,12 @@ def _weighted(design: Design, weight: Floats) -> Design:
 
 Grouping = Literal["observable", "instrument"]
 CLOSE = 2e-3
+"""Relative change of variance factors that ends their estimation: a tenth of the standard deviation of one from 1,250
+readings."""
 PASSES = 30
+"""Estimates of the variance factors at most, for given outliers."""
 ROUNDS = 6
+"""Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 LEAST = 3.0
 """Redundancy below which a group keeps its declared noise."""
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import AT_ONCE, Floats, Ints
 from ltsim.core.units import PPM
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.air import air_errors, turbulence_variance
@@ -18,8 +18,6 @@ from ltsim.physics.effects.rays import bending
 from ltsim.recordings.air import Air
 
 TEMPERATURE, GRADIENT, TURBULENCE = "temperature of the air", "gradient of the air", "turbulence"
-AT_ONCE = 4_000_000
-"""Largest number of entries of responses in memory at a time."""
 
 
 def reach_of(adjustment: Adjustment, columns: Ints) -> Floats:

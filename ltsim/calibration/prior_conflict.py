@@ -9,16 +9,13 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import FREED, ParameterPrior
 from ltsim.adjustment.reliability import FEW
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE, Direction
+from ltsim.adjustment.significance import FAMILY_LEVEL, SINGLE_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.probability import P_CONSTANT
 
-LEVEL = 0.01
-"""Significance level of a contradiction between a combination and its prior, corrected for all combinations."""
-RARE = 1e-3
-"""p-value of a small chi-square under the declared noise below which the noise is estimated."""
 NOISE_FREE = 0.1
 """Value of sigma0 below which readings count as free of noise, such as in a simulation without noise."""
 UNEXPLAINED = 2.0
@@ -42,7 +39,7 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
 def noise_overstated(adjustment: Adjustment) -> bool:
     """True if readings scatter less than declared, so that the declared noise is too large."""
     testable = adjustment.dof >= FEW and sigma0_of_readings(adjustment) > NOISE_FREE
-    return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < RARE)
+    return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_LEVEL)
 
 
 def prior_rejected(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
@@ -145,7 +142,7 @@ def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: flo
         deviation = vectors.T @ root @ (calibration.values[i] - prior.mean[i])[at]
         w = _normalised(deviation, gain) / scale
         k = int(np.argmax(np.abs(w)))
-        if abs(w[k]) > -special.ndtri(LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
+        if abs(w[k]) > -special.ndtri(FAMILY_LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
             combination = Direction(vectors[:, k], float(gain[k])).coefficients(
                 [calibration.names[i * size + j] for j in at]
             )

@@ -11,6 +11,7 @@ from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import CORRECTED_SHARE, ParameterPrior, prior_sigmas
+from ltsim.adjustment.significance import NOT_EXCLUDED
 from ltsim.calibration.evidence import (
     by_plausible_sizes,
     determined,
@@ -34,8 +35,6 @@ from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance, relative to the specification, of a constant that is selected as changed while others are tested."""
-MIN_RIVAL_SHARE = 0.01
-"""Smallest share of the evidence of a reported alternative constant."""
 MIN_EIGENVALUE = 1e-6
 """Smallest eigenvalue of the correlation of distinguishable changes (rounding); of others the more probable is
 reported.
@@ -221,7 +220,7 @@ def _contradiction(
         rivals={
             parameters[changes[rivals[i]].constant]: float(share[i])
             for i in np.argsort(-share)
-            if share[i] > MIN_RIVAL_SHARE
+            if share[i] > NOT_EXCLUDED
         },
     )
 

@@ -49,7 +49,9 @@ ROOM = 2
 """Smallest number of pointings per coefficient at the place of a law: the adjustment absorbs about half of them."""
 AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors of one instrument, and of one set-up."""
-ONLY = dict.fromkeys(("product", "passage", "lever", "near"), ("reading",)) | {"room": ("target",)}
+IN_THE_HALL = ("passage", "lever", "passage for a time", "lever for a time", "near")
+"""Kinds of drivers of regions of the hall."""
+ONLY = dict.fromkeys(("product", *IN_THE_HALL), ("reading",)) | {"room": ("target",)}
 """Kinds of responses that such regressors are restricted to: with others the space would be large
 and hardly physical.
 """
@@ -190,7 +192,8 @@ class _Maker:
 
 def _passes(name: str, carrier: ResponseTerm) -> bool:
     """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
-    return name not in ("passage", "lever") or ("distance" in carrier.observables) == (name == "passage")
+    way = name.removesuffix(" for a time")
+    return way not in ("passage", "lever") or ("distance" in carrier.observables) == (way == "passage")
 
 
 def _swings(kind: str, wave: Regressor) -> bool:

@@ -25,16 +25,17 @@ SHAPES = {
 }
 """Names of the shapes by the axes in which they are bounded."""
 MIN_STEP, MAX_STEPS = 0.5, 10
-"""Smallest distance [m] between the centres that are tried, and largest number of centres along an axis (both limit the
-cost).
-"""
+"""[m] Smallest distance between the centres of the coarsest grid, and largest number of them along an axis (cost)."""
+SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
+"""Parts of that distance in the grids of regions that one, two and three axes confine: thin ones are found by thin ones
+alone, since a region several times as wide as the cause has a tenth of its evidence."""
 MIN_PASSING, MAX_PASSING = 6, 0.8
 """Smallest number, and largest fraction, of the lines of sight that pass a region that is tried: fewer lines indicate
 an error of single readings, almost all of them an error of the whole recording.
 """
 MIN_TARGETS = 2
 """Smallest number of targets behind a region: an error on the lines to one target alone is an error of that target."""
-CENTRE_STEPS, WIDTH_FACTORS = (0.5, 0.15), (0.7, 1.4)
+CENTRE_STEPS, WIDTH_FACTORS = (0.5, 0.15), (0.5, 0.7, 1.4, 2.0)
 """Steps of a centre, in widths, and factors of the width in the refinement of a region."""
 BATCH_SIZE = 300_000
 """Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""
@@ -186,15 +187,21 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
 
 
 def _regions(sightings: Sightings, axes: str) -> list[Region]:
-    """Regions of one shape on a grid over the hall."""
+    """Regions of one shape on its grids."""
     low, high = extent(sightings)
-    step = max(MIN_STEP, float((high - low).max()) / MAX_STEPS)
+    coarsest = max(MIN_STEP, float((high - low).max()) / MAX_STEPS)
+    return [r for parts in SUBDIVISIONS[len(axes)] for r in _on_grid(sightings, axes, coarsest / parts)]
+
+
+def _on_grid(sightings: Sightings, axes: str, step: float) -> list[Region]:
+    """Regions of one shape on a grid with a distance `step` [m] between the centres."""
+    low, high = extent(sightings)
     width, regions = round(0.5 * step, 6), list[Region]()
     grids = [np.arange(low[i] + 0.5 * step, high[i], step).round(6).tolist() for i in map("xyz".index, axes)]
     centres = np.array(list(product(*grids))).reshape(-1, len(axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // BATCH_SIZE):
         inside = paths(sightings, axes, part, width)
-        chosen = np.flatnonzero(_distinctive(inside > width, sightings))
+        chosen = np.flatnonzero(is_distinctive(inside > width, sightings))
         beyond = levers(sightings, axes, part[chosen], width, inside[chosen])
         for i, lever in zip(chosen.tolist(), beyond, strict=True):
             regions.append(region := Region(axes, tuple(part[i].tolist()), width))
@@ -202,7 +209,7 @@ def _regions(sightings: Sightings, axes: str) -> list[Region]:
     return regions
 
 
-def _distinctive(passing: Bools, sightings: Sightings) -> Bools:
+def is_distinctive(passing: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions that enough lines of sight (r, n) to several targets pass, but not almost all."""
     count = passing.sum(axis=1)
     enough = (count >= MIN_PASSING) & (count <= MAX_PASSING * len(sightings))

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import AT_ONCE, Bools, Floats
 
-AT_ONCE = 1_000_000
-"""Number of entries of the designs that are fitted together."""
 STEPS = 6
 """Number of reweightings in the fit of a shift."""
 TRIMMED = 2

@@ -13,18 +13,12 @@ import numpy as np
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.sight import Sight
+from ltsim.adjustment.significance import FAR, MAJORITY
 from ltsim.adjustment.snooping import whitened_readings
 from ltsim.core.arrays import Bools, grouped
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import median_deviation
-
-FAR = 50.0
-"""Residual, in robust standard deviations of all readings, that neither noise nor instrument errors explain."""
-MOST = 0.5
-"""Fraction of far residuals of a set-up from which its pose is doubtful; with the same fraction of all readings no
-set-up is resected.
-"""
 
 
 def resected(problem: NetworkProblem, state: State) -> State:
@@ -33,11 +27,11 @@ def resected(problem: NetworkProblem, state: State) -> State:
     The results must be near.
     """
     recording, far = problem.model.recording, _far(problem, state)
-    if not far.any() or far[problem.use].mean() > MOST:
+    if not far.any() or far[problem.use].mean() > MAJORITY:
         return state
     whole, now = Sight.of(recording), far
     for station, rows in grouped(recording.station, np.flatnonzero(problem.use.any(axis=1))):
-        if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
+        if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MAJORITY:
             continue
         sight = whole.at(rows)
         for observable in range(len(OBSERVABLES)):
