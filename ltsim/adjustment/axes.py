@@ -25,8 +25,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 CLEARLY = 10.0
-"""Ratio of the median misses of stated coordinates and of their mirror image from which they are mirrored: right ones
-miss by the noise, a mirror image by the size of the network."""
+"""Ratio of the median misclosure of declared coordinates to that of their mirror image from which they are
+mirrored: correct ones have misclosures of the size of the noise, mirrored ones of the size of the network.
+"""
 SHAPE = 0.05
 """Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
 nominal coordinates of a drawing).

@@ -30,7 +30,7 @@ CLOSE = 1e-3
 ASIDE = 0.002
 """Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
 MOST_ROWS = 6
-"""Rows that a sentence lists at most."""
+"""Largest number of rows in a sentence."""
 WRONG_SHAPE = 5e-3
 """Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
 

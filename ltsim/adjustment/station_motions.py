@@ -1,4 +1,4 @@
-"""Motions of stations while they measure, as effects that an adjustment estimates, and their sentences.
+"""Motions of stations during their measurement, as effects that an adjustment estimates, and sentences on them.
 
 A tripod that sinks, or that somebody touched, bends all that is measured from it; which station moved is decided in
 `identification`.
@@ -63,7 +63,7 @@ def by_runs(sightings: Sightings) -> Sightings:
 
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
-    """Each motion of a station among an adjustment's effects that no cause has, and a sentence on it."""
+    """Motions of stations among an adjustment's effects without a cause, each with a sentence."""
     first = 0
     for effect in adjustment.effects:
         columns = slice(first, first := first + len(effect.parameters))
@@ -86,6 +86,6 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
 
 
 def _length(vector: Floats, covariance: Floats, unit: str) -> str:
-    """The length of a vector (3,) with its standard deviation, in words."""
+    """Text form of the length of a vector (3,) with its standard deviation."""
     length = float(np.linalg.norm(vector))
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)

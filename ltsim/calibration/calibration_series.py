@@ -31,7 +31,7 @@ RESOLVED = 1e-12
 """Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
 variances."""
 ROUNDS, SETTLED = 2000, 1e-4
-"""Steps of expectation and maximisation at most (they converge linearly); change of log variances that ends them."""
+"""Largest number of expectation-maximisation steps (linear convergence); change of log variances that ends them."""
 
 
 class ChiSquareEntry(Entry):
@@ -189,7 +189,7 @@ class CalibrationSeries(ValueEquality):
         return joint
 
     def change(self, first: int, second: int) -> ChangeEntry:
-        """Change from calibration number `first` to number `second`: later minus earlier, each with its p-value.
+        """Change from calibration number `first` to number `second`: later minus earlier, with p-values.
 
         Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
         of 1.

@@ -12,7 +12,7 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 AT_ONCE = 4_000_000
-"""Numbers of a temporary array at most: 32 MB."""
+"""Largest number of entries of a temporary array: 32 MB."""
 
 
 def side_by_side(*columns: Floats) -> Floats:

@@ -55,15 +55,15 @@ LEAST_SHARE = 0.05
 FINE = 48
 """Number of sizes over which the best hypotheses are averaged, in steps of a tenth."""
 MOST_BANDED = 2000
-"""Number of pointings up to which noise in bands of a covariate is a hypothesis (cost)."""
+"""Largest number of pointings at which noise in bands of a covariate is a hypothesis (cost)."""
 TIME_SPANS = 12
-"""Parts of the work between whose ends the noise may be larger."""
+"""Number of parts of the work; the noise may be larger between their ends."""
 SECTORS = (np.pi / 4.0, np.pi / 2.0)
-"""[rad] Widths of the sectors of directions in which the noise may be larger."""
+"""Widths [rad] of the sectors of directions in which the noise may be larger."""
 THRESHOLDS = (0.25, 0.5, 0.75)
 """Thresholds of other covariates beyond which the noise may be larger, as quantiles."""
 LEAST_BAND = 0.05
-"""Smallest share of the pointings inside a sector, and outside it."""
+"""Smallest fraction of the pointings inside a sector, and outside it."""
 NOISY_REGIONS = ("xyz", "xy", "x", "y")
 """Shapes of the regions of the hall whose lines of sight may have more noise."""
 LARGEST = 400.0
@@ -119,7 +119,7 @@ def _patterns(
 
 
 def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Covariates, and two of their values between which the noise may be larger."""
+    """Covariates, each with two values between which the noise may be larger."""
     time = sightings.quantities["time"]
     edges = np.unique(np.quantile(time, np.linspace(0.0, 1.0, TIME_SPANS + 1)))
     for low, high in combinations(edges.tolist(), 2):
@@ -143,7 +143,7 @@ def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Every change of the noise with one pattern over a grid of sizes, also for each of several `instruments`."""
+    """Changes of the noise with one pattern over a grid of sizes, also for each of several `instruments`."""
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]

@@ -50,7 +50,7 @@ ROOM = 2
 AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors of one instrument, and of one set-up."""
 IN_THE_HALL = ("passage", "lever", "passage for a time", "lever for a time", "near")
-"""Kinds of drivers of regions of the hall."""
+"""Kinds of regressors of regions of the hall."""
 ONLY = dict.fromkeys(("product", *IN_THE_HALL), ("reading",)) | {"room": ("target",)}
 """Kinds of responses that such regressors are restricted to: with others the space would be large
 and hardly physical.

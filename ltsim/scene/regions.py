@@ -25,10 +25,11 @@ SHAPES = {
 }
 """Names of the shapes by the axes in which they are bounded."""
 MIN_STEP, MAX_STEPS = 0.5, 10
-"""[m] Smallest distance between the centres of the coarsest grid, and largest number of them along an axis (cost)."""
+"""Smallest distance [m] between centres of the coarsest grid, and largest number of centres along an axis (cost)."""
 SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
-"""Parts of that distance in the grids of regions that one, two and three axes confine: thin ones are found by thin ones
-alone, since a region several times as wide as the cause has a tenth of its evidence."""
+"""Subdivisions of this distance in the grids of regions bounded in one, two and three axes: a region several times as
+wide as the cause has a tenth of its evidence, so thin causes need thin regions.
+"""
 MIN_PASSING, MAX_PASSING = 6, 0.8
 """Smallest number, and largest fraction, of the lines of sight that pass a region that is tried: fewer lines indicate
 an error of single readings, almost all of them an error of the whole recording.
@@ -187,7 +188,7 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
 
 
 def _regions(sightings: Sightings, axes: str) -> list[Region]:
-    """Regions of one shape on its grids."""
+    """Regions of one shape on all its grids."""
     low, high = extent(sightings)
     coarsest = max(MIN_STEP, float((high - low).max()) / MAX_STEPS)
     return [r for parts in SUBDIVISIONS[len(axes)] for r in _on_grid(sightings, axes, coarsest / parts)]

@@ -129,11 +129,11 @@ class Law(Tunable):
 
     @property
     def is_in_the_hall(self) -> bool:
-        """True if it follows a region of the hall at all times."""
+        """True if the law depends on a region of the hall at all times."""
         return self.driver.region is not None
 
     def at_all_times(self) -> Law:
-        """The law of a region without its switch."""
+        """Law of a region without its switch."""
         first, *others = self.driver.factors or (self.driver,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, driver=first) if gated else self
@@ -237,7 +237,7 @@ class Law(Tunable):
         return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def in_pieces(self, steps: Sequence[Regressor]) -> Law:
-        """The law with steps and ramps in the place of its smooth driver; one of a region is multiplied by them."""
+        """Copy of the law with steps and ramps in place of its smooth regressor, or as a factor of a region."""
         made, driver = pieces(steps), self.driver
         if driver.region is not None:
             made = Regressor("product", factors=(driver, made))
@@ -249,7 +249,7 @@ class Law(Tunable):
         return self.switched(steps) if self.driver.kind == "switch" else self.in_pieces(steps)
 
     def edges(self, sightings: Sightings) -> list[Regressor]:
-        """Times at which a law may be switched that follows the clock alone or a region of the hall."""
+        """Times at which a switch may act, for a law that depends on time alone or on a region of the hall."""
         follows_clock = self.driver.covariates == ("time",) and self.driver.kind in ("smooth", "wave")
         if not follows_clock and not self.is_in_the_hall:
             return []
@@ -258,7 +258,7 @@ class Law(Tunable):
         return [simple("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def switched(self, edges: Sequence[Regressor]) -> Law:
-        """The law with a switch in the place of its driver; one of a region acts while the switch is on."""
+        """Copy of the law with a switch as its regressor; that of a region acts while the switch is on."""
         gate = switch(edges)
         driver = gate if not self.is_in_the_hall else Regressor("product", factors=(self.driver, gate))
         return replace(self, driver=driver, scale=0)

@@ -74,9 +74,9 @@ MIN_TARGETS_NEAR = 2.5
 PLACES_NEAR = ("xyz", "xy")
 """Shapes of the regions for nearness of targets."""
 STANDING = ("xy", "x", "y")
-"""Shapes of the regions in which something may stand for a time."""
+"""Shapes of the regions that a body may occupy for a time."""
 STAYS, MIN_TIMES = (2, 4), 12
-"""Numbers of equal parts of the work, of which something may stand for one; smallest number of times of readings."""
+"""Numbers of equal parts of the work, one of which a body may stay for; smallest number of times of readings."""
 DECAY_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
 one.
@@ -186,7 +186,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
 
 
 def dead_bands(sightings: Sightings) -> list[Regressor]:
-    """Drivers that act at short moves of an axis alone: what a drive or a contact does not follow."""
+    """Regressors that act only at short moves of an axis, which a drive or a contact does not follow."""
     return [
         simple(name, how, float(k))
         for name in _varying(sightings, ("move-azimuth", "move-elevation"))
@@ -202,7 +202,7 @@ def is_near_several(region: Region, sightings: Sightings) -> bool:
 
 
 def for_a_time(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Drivers of regions of the hall that something stands in for a time."""
+    """Regressors of regions of the hall that a body occupies for a time."""
     time, regions = np.unique(sightings.time), regions_of(sightings, STANDING)
     if len(time) < MIN_TIMES or not regions:
         return

@@ -29,14 +29,14 @@ def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
 
 
 def size_or_value(sightings: Sightings, name: str) -> Floats:
-    """Covariate (n,) that noise depends on: of moves and other memories their size."""
+    """Covariate (n,) of the noise; moves and other memories by their size."""
     values: Floats = sightings.quantities[name]
     return np.abs(values) if name.startswith(MEMORY_PREFIXES) else values
 
 
 @dataclass(frozen=True)
 class VarianceFunction(NoiseSignature):
-    """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
+    """Variance function outside the catalogue: noise of observables that depends on a covariate or differs by target.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
     the names of all targets, stations or readings, has a value of its own; one for each observable where
@@ -123,7 +123,7 @@ class VarianceFunction(NoiseSignature):
         return self._grown(sigma, values[0] * pattern)
 
     def _inside(self, sightings: Sightings) -> Bools:
-        """Pointings (n,) within the band of the covariate."""
+        """Flags (n,) of the pointings within the band of the covariate."""
         (low, high), name = self.band, self.covariates[0]
         x = size_or_value(sightings, name)
         if name in CIRCULAR:

@@ -104,7 +104,7 @@ AT_EACH = ", another at each instrument"
 """Suffix of a product whose other factor is separate for each instrument."""
 SWITCH = "a switch of {x}, on from {spans}"
 START = "the start"
-"""Said for the start of a span that began before the first pointing."""
+"""Text form of the start of a span that began before the first pointing."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
@@ -157,7 +157,7 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
 
 
 def _switch_words(driver: Regressor, *, clock: bool) -> str:
-    """A switch in words: the spans in which it is on; the first may have no start and the last no end."""
+    """Text form of a switch: the spans in which it is on; the first may have no start and the last no end."""
     name = driver.covariates[0]
     values = [value_of(name, factor.constant, clock=clock) for factor in driver.factors]
     if driver.factors[0].constant == -np.inf:
