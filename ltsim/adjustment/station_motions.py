@@ -63,7 +63,7 @@ def by_runs(sightings: Sightings) -> Sightings:
 
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
-    """Motions of stations among an adjustment's effects without a cause, each with a sentence."""
+    """Motions of stations in an adjustment that no identified cause explains, and a sentence on each."""
     first = 0
     for effect in adjustment.effects:
         columns = slice(first, first := first + len(effect.parameters))
@@ -73,7 +73,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
             parts = " and ".join(
                 _length(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
             )
-            moved = f"moves while it measures, by {parts} in all"
+            moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
                 order = sightings.order[effect.mask(sightings)[sightings.order] > 0]
@@ -86,6 +86,6 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
 
 
 def _length(vector: Floats, covariance: Floats, unit: str) -> str:
-    """Text form of the length of a vector (3,) with its standard deviation."""
+    """Text of the length of a vector (3,) with its standard deviation."""
     length = float(np.linalg.norm(vector))
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)

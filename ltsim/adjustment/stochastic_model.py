@@ -24,9 +24,9 @@ HUBER, CAUCHY = 2.0, 2.385
 half; the efficiencies for normal residuals are 97 and 95 %.
 """
 MANY = 0.02
-"""Fraction of readings with residuals above `FAR` declared standard deviations that counts as many."""
+"""Fraction of readings with residuals above `FAR` declared standard deviations above which they are many."""
 STEPS = 25
-"""Largest number of reweightings, each with a linear step."""
+"""Reweightings at most, each with a linear step."""
 STILL = 1e-2
 """Squared length of a step, in standard deviations, below which the iteration has converged."""
 
@@ -123,9 +123,9 @@ CLOSE = 2e-3
 """Relative change of variance factors that ends their estimation: a tenth of the standard deviation of one from 1,250
 readings."""
 PASSES = 30
-"""Largest number of estimates of the variance factors for given outliers."""
+"""Estimates of the variance factors at most, for given outliers."""
 ROUNDS = 6
-"""Largest number of estimates of outliers for given variance factors; outliers near the limit alternate."""
+"""Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 LEAST = 3.0
 """Redundancy below which a group keeps its declared noise."""
 

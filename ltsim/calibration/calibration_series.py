@@ -121,9 +121,9 @@ class CalibrationSeries(ValueEquality):
         if len(named) < 2:
             raise RecordError(f"the history has {len(named)} calibration(s); expected at least two to compare")
         if len({c.construction.names for _, c in named}) > 1:
-            raise RecordError("the calibrations have different parameters, expected one construction for all")
+            raise RecordError("the calibrations hold different parameters, expected one construction for all")
         if not named[0][1].construction.size:
-            raise RecordError("the calibrations have no instrument parameters, expected those of `ltsim calibrate`")
+            raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in named:
             if calibration.history_prior:
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
@@ -133,7 +133,7 @@ class CalibrationSeries(ValueEquality):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
                 name = calibration.construction.names[unsure[0]]
-                raise RecordError(f"{label} has no uncertainty of {name}; expected one above 0 for every parameter")
+                raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
         labels = tuple(label for label, _ in named)
         declared = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
         return cls(labels, chosen, days_of(labels, declared))
@@ -304,7 +304,7 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
     if len(names) == 1:
         return calibration
     if instrument not in names:
-        raise RecordError(f"{label} has the instruments {', '.join(names)}: choose one ({option('instrument')})")
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
     return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
 
 

@@ -106,7 +106,7 @@ def model_weights(
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
-    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, change no reading.
+    Log evidences are divided by `temperature`. Changes of the noise, like no effect, do not change readings.
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]

@@ -25,10 +25,12 @@ SHAPES = {
 }
 """Names of the shapes by the axes in which they are bounded."""
 MIN_STEP, MAX_STEPS = 0.5, 10
-"""Smallest distance [m] between centres of the coarsest grid, and largest number of centres along an axis (cost)."""
+"""Smallest distance [m] between the centres of the coarsest grid, and largest number of centres along an axis (both
+limit the cost).
+"""
 SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
-"""Subdivisions of this distance in the grids of regions bounded in one, two and three axes: a region several times as
-wide as the cause has a tenth of its evidence, so thin causes need thin regions.
+"""Divisors of that distance in the grids of regions that are bounded in one, two and three axes: a region several times
+as wide as the cause has a tenth of its evidence.
 """
 MIN_PASSING, MAX_PASSING = 6, 0.8
 """Smallest number, and largest fraction, of the lines of sight that pass a region that is tried: fewer lines indicate
@@ -188,7 +190,7 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
 
 
 def _regions(sightings: Sightings, axes: str) -> list[Region]:
-    """Regions of one shape on all its grids."""
+    """Regions of one shape on its grids over the hall."""
     low, high = extent(sightings)
     coarsest = max(MIN_STEP, float((high - low).max()) / MAX_STEPS)
     return [r for parts in SUBDIVISIONS[len(axes)] for r in _on_grid(sightings, axes, coarsest / parts)]

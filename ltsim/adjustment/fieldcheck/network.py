@@ -81,7 +81,7 @@ def items_of_network(
 ) -> tuple[Item, ...]:
     """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
 
-    `plain` is the network of `adjust`, with the declared noise even if the recording is one `with_target_noise`;
+    `plain` is the network of `adjust` with the declared noise, even for a recording with increased noise of targets;
     `motions` of stations were estimated from their single set-ups, those `moving` from the network.
     """
     try:

@@ -56,7 +56,9 @@ COMPUTED = 1e-6
 the declared noise.
 """
 FEW = 0.01
-"""Largest fraction of outliers in a large consistent network that the global test accepts at `FAMILY_LEVEL`."""
+"""Largest fraction of outliers at which a large network counts as consistent if the global test accepts it at
+`FAMILY_LEVEL`.
+"""
 FAR_AMONG = 3
 """Ratio of all reference values to those far off from which the latter are omitted at the beginning: a majority."""
 AFTER_ALL = 0.5
@@ -118,7 +120,7 @@ class Selection:
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """Significant motions of stations, for an adjustment without all selected hypotheses."""
+        """Motions of stations beyond doubt, for an adjustment that is not made with all selected hypotheses."""
         sure = [c.hypothesis.change for c in self.choices if c.gain > BEYOND_DOUBT]
         effects = [change.effect for change in sure if isinstance(change, Shift)]
         sudden = (SuddenMotion(e.stations, time=e.time) if isinstance(e, StationBump) else e for e in effects)

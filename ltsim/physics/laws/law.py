@@ -129,11 +129,11 @@ class Law(Tunable):
 
     @property
     def is_in_the_hall(self) -> bool:
-        """True if the law depends on a region of the hall at all times."""
+        """True if it follows a region of the hall at all times."""
         return self.driver.region is not None
 
     def at_all_times(self) -> Law:
-        """Law of a region without its switch."""
+        """The law of a region without its switch."""
         first, *others = self.driver.factors or (self.driver,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, driver=first) if gated else self
@@ -237,7 +237,7 @@ class Law(Tunable):
         return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def in_pieces(self, steps: Sequence[Regressor]) -> Law:
-        """Copy of the law with steps and ramps in place of its smooth regressor, or as a factor of a region."""
+        """Copy of the law with steps and ramps in place of its smooth regressor, or as factors of that of a region."""
         made, driver = pieces(steps), self.driver
         if driver.region is not None:
             made = Regressor("product", factors=(driver, made))
@@ -258,7 +258,7 @@ class Law(Tunable):
         return [simple("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def switched(self, edges: Sequence[Regressor]) -> Law:
-        """Copy of the law with a switch as its regressor; that of a region acts while the switch is on."""
+        """Copy of the law with a switch as its regressor; that of a region is multiplied by the switch."""
         gate = switch(edges)
         driver = gate if not self.is_in_the_hall else Regressor("product", factors=(self.driver, gate))
         return replace(self, driver=driver, scale=0)

@@ -73,10 +73,10 @@ MIN_TARGETS_NEAR = 2.5
 """Smallest effective number of targets near a position."""
 PLACES_NEAR = ("xyz", "xy")
 """Shapes of the regions for nearness of targets."""
-STANDING = ("xy", "x", "y")
-"""Shapes of the regions that a body may occupy for a time."""
-STAYS, MIN_TIMES = (2, 4), 12
-"""Numbers of equal parts of the work, one of which a body may stay for; smallest number of times of readings."""
+TEMPORARY_SHAPES = ("xy", "x", "y")
+"""Shapes of the regions that may act for a part of the work."""
+PARTS, MIN_TIMES = (2, 4), 12
+"""Numbers of equal parts of the work, in one of which a region may act; smallest number of distinct times."""
 DECAY_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
 one.
@@ -84,7 +84,7 @@ one.
 HALF_LOOPS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops, as fractions of a covariate's span."""
 SHORT_MOVES = (0.15, 0.3, 0.5)
-"""Limits of dead bands, as quantiles of the moves' sizes."""
+"""Limits of dead bands, as quantiles of the sizes of the moves."""
 LAG_TIMES = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that are tried: of detectors, instrument parts, stands, walls and floors."""
 FEW_VISITS, MAX_VISITS, MAX_AMOUNTS = 3, 12, 60
@@ -176,8 +176,8 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         ],
         "passage": [passage(region) for region in regions_of(s)],
         "lever": [passage(region, LEVER) for region in regions_of(s)],
-        "passage for a time": list(for_a_time(s)),
-        "lever for a time": list(for_a_time(s, LEVER)),
+        "passage for a time": list(temporary_regions(s)),
+        "lever for a time": list(temporary_regions(s, LEVER)),
         "near": [near(region) for region in regions_of(s, PLACES_NEAR) if is_near_several(region, s)],
         "state": [memory(*made) for made in states_of(s, _varying(s, INPUTS))],
         "latch": [latch(*made) for made in latches_of(s, _varying(s, (*POINTED, *columns)))],
@@ -186,7 +186,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
 
 
 def dead_bands(sightings: Sightings) -> list[Regressor]:
-    """Regressors that act only at short moves of an axis, which a drive or a contact does not follow."""
+    """Drivers that act at short moves of an axis alone: what a drive or a contact does not follow."""
     return [
         simple(name, how, float(k))
         for name in _varying(sightings, ("move-azimuth", "move-elevation"))
@@ -201,13 +201,13 @@ def is_near_several(region: Region, sightings: Sightings) -> bool:
     return region.targets_within(sightings) > MIN_TARGETS_NEAR
 
 
-def for_a_time(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Regressors of regions of the hall that a body occupies for a time."""
-    time, regions = np.unique(sightings.time), regions_of(sightings, STANDING)
+def temporary_regions(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
+    """Regressors of regions of the hall that act in one part of the work."""
+    time, regions = np.unique(sightings.time), regions_of(sightings, TEMPORARY_SHAPES)
     if len(time) < MIN_TIMES or not regions:
         return
     passing = np.stack([region.path(sightings) > region.width for region in regions])
-    for parts in STAYS:
+    for parts in PARTS:
         at = np.linspace(0, len(time) - 1, parts + 1).round().astype(int)
         ends = [*(0.5 * (time[at[1:-1]] + time[at[1:-1] - 1])).tolist(), np.inf]
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):

@@ -29,19 +29,21 @@ def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
 
 
 def size_or_value(sightings: Sightings, name: str) -> Floats:
-    """Covariate (n,) of the noise; moves and other memories by their size."""
+    """Covariate (n,) that noise depends on: of moves and other memories their size."""
     values: Floats = sightings.quantities[name]
     return np.abs(values) if name.startswith(MEMORY_PREFIXES) else values
 
 
 @dataclass(frozen=True)
 class VarianceFunction(NoiseSignature):
-    """Variance function outside the catalogue: noise of observables that depends on a covariate or differs by target.
+    """Variance function: noise of some observables that depends on a covariate, or differs by target.
 
-    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
-    the names of all targets, stations or readings, has a value of its own; one for each observable where
-    `per_observable`. In a `region` of the hall the pattern is the length of the line of sight in it. With a `band` the
-    pattern is 1 from its first to its second value of the covariate, round the circle for directions, and 0 elsewhere.
+    Not in the catalogue.
+
+    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`
+    (targets, stations or readings) has a separate value, and with `per_observable` one for each observable. For a
+    `region` of the hall the pattern is the length of the line of sight in it. With a `band` the pattern is 1 from its
+    first to its second value of the covariate, round the circle for directions, and 0 elsewhere.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -123,7 +125,7 @@ class VarianceFunction(NoiseSignature):
         return self._grown(sigma, values[0] * pattern)
 
     def _inside(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings within the band of the covariate."""
+        """Pointings (n,) within the band of the covariate."""
         (low, high), name = self.band, self.covariates[0]
         x = size_or_value(sightings, name)
         if name in CIRCULAR:
