@@ -34,6 +34,8 @@ SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqr
 
 LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "specification"
 """Names of groups of observations; the last one is the prior of the instrument's constants."""
+STREAM_KEYS = {PRIORS: "what the maker guarantees"}
+"""Keys of random streams that differ from the name of their source; the draws of a seed depend on them."""
 
 
 @dataclass(frozen=True)
