@@ -14,6 +14,7 @@ MOST_JOBS = 256
 BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
     "jobs": (1, MOST_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
+    "every": (1, 10**6),
 }  # fmt: skip
 """Smallest and largest value by the name of an argument; whole numbers where the smallest is one."""
 MOVE_FORM = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"

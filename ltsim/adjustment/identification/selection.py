@@ -18,6 +18,7 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
@@ -174,7 +175,11 @@ def _agrees(fit: Fit) -> bool:
 def identified(
     recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
 ) -> Selection | None:
-    """The simple causes of a recording, by default beside the errors of its instrument; None where it is no network."""
+    """The simple causes of a recording, by default beside the errors of its instrument; None where it is no network.
+
+    NetworkError where it holds too many pointings.
+    """
+    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     try:
         return select(Network(recording, construction or declared_construction(recording), prior))
     except LtsimError:
