@@ -132,7 +132,6 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
     from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import write_diagnosis
     from ltsim.planning.result import Plan, write_plan
-    from ltsim.reports.schemas import TABLES
     from ltsim.simulation.truth import Truth, write_truth
 
     match result:
@@ -145,6 +144,8 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
         case Plan():
             write_plan(result, path)
         case ResultFile():
+            from ltsim.reports.schemas import TABLES  # which takes half a second
+
             named = {table.file for table in TABLES.get(result.FILE, ())}
             tables = [result.table(name) for name in result._tables()]
             write_result(path, result, {table.file: table.csv() for table in tables if table.file in named})

@@ -44,7 +44,7 @@ class Pattern:
         self._shape, self._entries = (len(widths), size), len(indices)
         self._is_dense = len(widths) * size <= DENSE
         if self._is_dense:
-            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices
+            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices.astype(np.int64)
         else:
             self._indices, self._pointers = indices, pointers.astype(small)
 

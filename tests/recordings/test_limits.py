@@ -272,13 +272,23 @@ def test_400000_pointings_are_used_or_refused_before_the_work(verb: str, tmp_pat
     assert used.ru_utime + used.ru_stime < 20
 
 
+MAKES = "import sys; from tests.recordings.test_limits import write_noisy; write_noisy(int(sys.argv[1]), sys.argv[2])"
+
+
 def noisy_monitoring(rows: int, folder: Path) -> Path:
-    """Folder of the recording of `monitoring`, whose readings scatter as declared."""
+    """Folder of the recording of `monitoring`, whose readings scatter as declared.
+
+    A process of its own makes it: the memory of this one would count for the processes that it starts.
+    """
     folder.mkdir(exist_ok=True)
-    recording = read(monitoring(rows, folder / "a.csv"))
-    noise = np.random.default_rng(7).normal(size=recording.readings.shape) * recording.sigma()
-    lt.write(recording.with_readings(recording.readings + noise), folder / "recording")
+    means(MAKES, str(rows), str(folder))
     return folder / "recording"
+
+
+def write_noisy(rows: int, folder: str) -> None:
+    recording = read(monitoring(rows, Path(folder, "a.csv")))
+    noise = np.random.default_rng(7).normal(size=recording.readings.shape) * recording.sigma()
+    lt.write(recording.with_readings(recording.readings + noise), Path(folder, "recording"))
 
 
 def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
