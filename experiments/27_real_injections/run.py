@@ -2,6 +2,7 @@
 
     python -m experiments 27               # goes on where it was broken off
     python -m experiments 27 at-100        # strength 100 alone, as asked of the present search
+    python -m experiments 27 ideal         # the ideal observer on the same injections of strength 100
     python -m experiments 27 told-noise    # strength 100 alone, the noise that the readings have being stated
     python -m experiments 27 tables        # table and curves of the committed rows
 
@@ -12,91 +13,31 @@ from __future__ import annotations
 
 import json
 import time
-from functools import cache
 from itertools import product
-from typing import Any
 
-import numpy as np
 import pandas as pd
 
 import ltsim as lt
-from experiments.common import RECORDINGS as DATA, Made, Options, Row, tell, write_figure, write_table
+from experiments.common import RECORDINGS as DATA, Made, Options, Row, show_table, tell, write_figure, write_table
 from experiments.intervals import share
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.parallel import parallel
-from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.diagnosis.schema import Finding
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.recordings import Hints, Recording
-from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
+
+from . import ideal
+from .injections import background, injection, key, named, new, placed
 
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 DRAWN = (*MEASURES.values(), "reliability")
 COUNTED = ("site", "file", "kind", "strength", "trial", "hidden", *MEASURES, "new", "injected", "retold")
-SAME = 0.5
-"""Share of several stations or targets in common from which they are the same place."""
-GREW = 0.01
-"""Share by which what was told before has grown where it is told anew: a slip of metres moves with every micrometre."""
-
-
-@cache
-def background(file: str, clockwise: bool, told_noise: bool) -> tuple[Recording, Recording, tuple[Finding, ...]]:
-    """A recording that is asked, the same with the noise that it has, and what is told of the first as it is."""
-    recording = lt.read(DATA / file, hints=Hints(azimuth="clockwise") if clockwise else None)
-    told = lt.diagnose(recording, held_out=False)
-    sigma = told.adjusted.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
-    columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-    weighted = recording.replace(covariates={**recording.covariates, **columns})
-    if told_noise:
-        recording, told = weighted, lt.diagnose(weighted, held_out=False)
-    return recording, weighted, tuple(told.findings)
-
-
-def place(one: Any, recording: Recording) -> tuple[set[str], set[str]]:
-    """Stations and targets of a finding or a cause; everything where it is confined to none."""
-    instruments = set(getattr(one, "instruments", ()))
-    own = {s for s, i in zip(recording.station, recording.instrument, strict=True)
-           if recording.instruments[i] in instruments}  # fmt: skip
-    stations = set(one.stations) or {recording.stations[s] for s in own} or set(recording.stations)
-    return stations, set(one.targets) or set(recording.targets)
-
-
-def placed(cause: Tunable, told: Finding, recording: Recording) -> bool:
-    """Stations and targets are those of the cause (several: half in common), and an observable of it is named."""
-    pairs = zip(place(cause, recording), place(told.where, recording), strict=True)
-    alike = all(a == b if len(a) < 2 else len(a & b) >= SAME * len(a | b) for a, b in pairs)
-    acts = set(cause.observables)
-    return alike and (not told.where.observables or not acts or bool(acts & set(told.where.observables)))
-
-
-def named(cause: Tunable, told: Finding) -> bool:
-    """An effect by its name or among the equivalents; a law as unknown, with its carrier or its observables."""
-    if not isinstance(cause, Law):
-        return cause.name in (told.effect, *(e.effect for e in told.equivalents))
-    return not told.is_catalogued and (told.carrier == cause.carrier.name
-                               or set(told.where.observables) == set(cause.observables))  # fmt: skip
-
-
-def new(told: Finding, before: tuple[Finding, ...], strength: float) -> bool:
-    """Nothing of this name, place and observables was told before, or it grew by half of what was put in."""
-    same = [f.evidence.chi2_drop for f in before if (f.effect, key(f)) == (told.effect, key(told))]
-    return all(told.evidence.chi2_drop - drop > max(strength / 2, GREW * drop) for drop in same)
-
-
-def key(told: Finding) -> Any:
-    return told.where.model_copy(update={"covariates": ()})
 
 
 def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_noise: bool) -> Row:
     """One injection, diagnosed once by the default settings; `hidden` where the network shows no such cause."""
-    recording, weighted, before = background(network["file"], network.get("clockwise", False), told_noise)
-    rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])
-    words = kind.format(station=rng.choice(recording.stations), unit="min" if recording.has_clock else "rows")
+    recording, _, before = background(network["file"], network.get("clockwise", False), told_noise)
     row = {"site": network["site"], "file": network["file"], "kind": kind, "strength": strength, "trial": trial}
     try:
-        drawn, truth = lt.inject(weighted, words, noncentrality=strength, seed=int(rng.integers(2**31)))
+        drawn, truth = injection(network, kind, strength, trial, seed, told_noise)
     except ModelError:
         return row | {"hidden": True}
     start, cause = time.perf_counter(), truth.causes[0].cause
@@ -105,7 +46,7 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_no
     except (ArithmeticError, ValueError, LtsimError) as error:  # a diagnosis that breaks down has found nothing
         told, row["failed"] = (), f"{type(error).__name__}: {error}"
     fresh = [f for f in told if new(f, before, strength)]
-    here = [f for f in fresh if placed(cause, f, recording)]
+    here = [f for f in fresh if placed(cause, f.where, recording)]
     mine = [f for f in fresh if f in here or named(cause, f)]
     again = [f for f in fresh if f not in mine and any(f.effect == b.effect or key(f) == key(b) for b in before)]
     where = " ".join([*cause.stations, *cause.targets])
@@ -176,6 +117,13 @@ def run(given: Options) -> Made:
         write_table(given.out / "rows_100.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
         table = [row for row in table_of(rows, [100], []) if row["strength"] != "all"]
         write_table(given.out / "table_100.csv", table)
+        return Made(settings["seed"], given.trials)
+    if "ideal" in given.words:
+        networks = [network for network in settings["network"] if (DATA / network["file"]).exists()]
+        rows = [row for some in parallel(ideal.asked, [(n, settings) for n in networks], given.jobs) for row in some]
+        write_table(given.out / "ideal_100.csv", rows)
+        ltsim = pd.read_csv(given.out / "rows_100.csv").convert_dtypes().to_dict("records")
+        show_table(given.out / "table_ideal.csv", ideal.table_of(rows, ltsim))
         return Made(settings["seed"], given.trials)
     if "told-noise" in given.words:
         rows = injected(given, settings | {"strengths": [100]}, told_noise=True)

@@ -15,7 +15,6 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
 from ltsim.adjustment.reliability import (
-    FAMILY_LEVEL,
     FEW,
     iterative_snooping,
     noisy_groups,
@@ -23,6 +22,7 @@ from ltsim.adjustment.reliability import (
     p_value_of_tau,
     redundancy_of,
 )
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import drop_undetermined, pose_defect
 from ltsim.adjustment.stochastic_model import Component
 from ltsim.core.arrays import Bools, Floats, Ints

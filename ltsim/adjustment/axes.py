@@ -25,6 +25,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import LEAST_SIGMA, Axes, Target
 
 CLEARLY = 10.0
+"""Ratio of the median misses of stated coordinates and of their mirror image from which they are mirrored: right ones
+miss by the noise, a mirror image by the size of the network."""
 SHAPE = 0.05
 """Part of a network's size by which stated coordinates may miss it, as drawings do, and still be of this network."""
 NOTHING: Mapping[str, Axes] = MappingProxyType({})

@@ -30,6 +30,7 @@ CLOSE = 1e-3
 ASIDE = 0.002
 """Share of a height that a pointing may land aside: nothing else comes down so straight."""
 MOST_ROWS = 6
+"""Rows that a sentence lists at most."""
 WRONG_SHAPE = 5e-3
 """[m] Median misfit of two stations' points that neither a tracker error nor a single blunder causes."""
 

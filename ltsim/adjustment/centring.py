@@ -13,6 +13,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import GrossFinding
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import GLOBAL_LEVEL, SINGLE_LEVEL
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
@@ -21,11 +22,9 @@ from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
 DAY = 86_400.0
-LEVEL = 0.001
-"""Significance level of the test for any centring error, with the estimated variance factor."""
-DISAGREES = 0.05
-"""p-value of the global test above which no centring error is searched."""
+"""[s]"""
 MOST = 6
+"""Centring errors that are estimated at most: a network with more is measured again."""
 MOVED = "target-moved"
 """Catalogue effect of a centring error: the equipment on a mark moved."""
 
@@ -119,7 +118,7 @@ def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation
 
 def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     """Centring errors of a network; None where there are none or where the global test passes without them."""
-    if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > DISAGREES:
+    if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_LEVEL:
         return None
     candidates = occupations(adjustment.recording, adjustment.problem.marks.names)
     if not candidates:
@@ -139,7 +138,7 @@ def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         best = max(fall, key=lambda i: fall[i])
         drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
-        if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < LEVEL:
+        if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_LEVEL:
             break
         if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residual)[0]) < ordinary:
             break

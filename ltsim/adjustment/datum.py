@@ -22,6 +22,7 @@ from ltsim.solve.design import FORMED, unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
 PASSES = 5
+"""Steps of the free motion to the datum at most: each is linear in the rotation, and they converge quadratically."""
 
 
 @dataclass(frozen=True)

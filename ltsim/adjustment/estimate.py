@@ -14,6 +14,7 @@ from ltsim.adjustment.problem import WEAK, NetworkProblem
 from ltsim.adjustment.reference_tests import KINDS, SIGMAS, ReferenceTest, snoop_references
 from ltsim.adjustment.reference_values import Kind
 from ltsim.adjustment.rows import Marks
+from ltsim.adjustment.significance import MAJORITY, UNCHECKED
 from ltsim.adjustment.snooping import copied_rows, drop_undetermined, screen_gross_errors, snoop_readings
 from ltsim.adjustment.stochastic_model import Component, Grouping, estimated_components
 from ltsim.adjustment.structure import refusing_singular
@@ -30,8 +31,6 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
 
-MOST = 0.5
-"""Share of a set-up's pointings with gross errors above which its mark or height is tested instead of the pointings."""
 TURNED = 1e-7
 """Rotation [rad] into the datum above which the network is linearised again."""
 
@@ -163,7 +162,7 @@ def _over_wrong_marks(recording: Recording, gross: Bools) -> Bools:
     count = len(recording.stations)
     over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
-    return np.asarray((over & (share > MOST))[recording.station])
+    return np.asarray((over & (share > MAJORITY))[recording.station])
 
 
 def _check_normals(problem: NetworkProblem) -> None:
@@ -214,8 +213,6 @@ LEVEL = 0.02
 """Significance level: probability that any point of an error-free fit is excluded."""
 LEAST = 3
 """Points that define axes."""
-OPEN = 1e-6
-"""Redundancy number of a point below which the other points do not test it."""
 
 
 def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
@@ -278,7 +275,7 @@ def _test(
     With R = 1 - `held` of a point in use, its residual is R times its error; another shows its error whole.
     """
     share, turned = np.linalg.eigh(np.eye(3) - held if used else np.eye(3) + held)
-    is_checked = share > OPEN
+    is_checked = share > UNCHECKED
     turned, share = turned[:, is_checked], share[is_checked]
     shown = share if used else np.ones(len(share))
     square, dof, level = rest

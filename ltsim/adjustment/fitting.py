@@ -20,6 +20,7 @@ from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
 LEAST_DAMPING = 1e-10
 """Damping, relative to the diagonal of the normal equations, that keeps them regular where a direction is open."""
 ITERATIONS = 60
+"""Steps of a damped fit at most: a start from which it takes longer is not followed."""
 SAME = 1e-3
 """Solutions closer than this [m, rad] are one."""
 CLEARLY = 4.0
@@ -29,10 +30,12 @@ WORST = 300.0
 BEST = 150
 """Starts that are followed: those that fit best."""
 MOST_STARTS = 400
+"""Starts that are tried at most (cost)."""
 ROUND = np.arange(8) * np.pi / 4
 GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
 """Search grids for the coordinates of a point that were not read: range [m], azimuth, elevation [rad]."""
 LEAST_RANGES = 10
+"""Targets from which ranges alone give a network: differences to one of them determine nine coefficients of a frame."""
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Residuals (b, m) at places (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by what is free."""

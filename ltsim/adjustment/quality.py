@@ -11,6 +11,7 @@ from ltsim.adjustment.centring import centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
 from ltsim.adjustment.reference_values import without_coordinates
+from ltsim.adjustment.significance import MAJORITY
 from ltsim.adjustment.station_motions import motion_sentences
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
@@ -20,17 +21,14 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
 from ltsim.recordings.transcription_errors import GON, UNIT_ERRORS, TranscriptionError
 
-MAX_UNUSED = 0.5
-"""Share of unused pointings above which an adjustment is refused."""
 FITS = 0.1
 """Share of unused pointings below which another unit of the readings counts as fitting."""
 CONTRADICTION = 100.0
 """sigma0 above which readings contradict each other and the covariance, which is linear, is meaningless."""
 HEALED = 0.1
 """Ratio of sigma0 without and with the known points below which the known points are the contradiction."""
-MIN_USED = 0.5
-"""Share of a station's pointings in use below which its position is reported as doubtful."""
 MOST_NAMED = 4
+"""Sentences of one kind that are listed at most."""
 LEAST_PLACES = 3
 """Number of station positions on a plan from which a mirror image is recognised."""
 FAR = 0.01
@@ -59,7 +57,7 @@ def require_usable(adjustment: Adjustment) -> None:
     adjustment.require_solution()
     _require_consistent_control(adjustment)
     unused = _unused(adjustment)
-    lost = unused.sum() > MAX_UNUSED * len(unused)
+    lost = unused.sum() > MAJORITY * len(unused)
     fits = _unit_that_fits(adjustment) if lost or adjustment.sigma0 > CONTRADICTION else ""
     if lost or fits:
         out = f"{unused.sum()} of {len(unused)} pointings would be left out"
@@ -256,7 +254,7 @@ def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
     count = len(recording.stations)
     whole = np.bincount(recording.station[measured], minlength=count)
     used = np.bincount(recording.station[adjustment.problem.use.any(axis=1)], minlength=count)
-    for s in np.flatnonzero((used > 0) & (used < MIN_USED * whole)):
+    for s in np.flatnonzero((used > 0) & (used < MAJORITY * whole)):
         yield (
             f"station {recording.stations[s]} keeps {used[s]} of its {whole[s]} pointings: its position is doubtful; "
             "check its names, units and sense of azimuth"

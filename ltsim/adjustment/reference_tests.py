@@ -20,7 +20,6 @@ from ltsim.adjustment.reference_values import (
     reference_values,
 )
 from ltsim.adjustment.reliability import (
-    FAMILY_LEVEL,
     critical_w,
     neg_log_p_chi2,
     noncentrality,
@@ -29,6 +28,7 @@ from ltsim.adjustment.reliability import (
     scale_of,
     single_level,
 )
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import with_sigma

@@ -6,16 +6,11 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.significance import FAMILY_LEVEL, POWER, SINGLE_LEVEL, UNCHECKED
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.solve.design import median_deviation
 from ltsim.solve.elimination import BlockFactor
 
-FAMILY_LEVEL = 0.01
-"""Probability that a recording without errors has any outlier (Sidak over all readings)."""
-SINGLE_LEVEL = 0.001
-"""Significance level of a test of one hypothesis that was chosen beforehand."""
-POWER = 0.8
-"""Power: probability that an error of the minimal detectable size is detected."""
 BELIEVED = 1.25
 """Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
 CHECKED = 0.1
@@ -26,8 +21,6 @@ FAR_MORE = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
 EQUIVALENT = 0.9
 """Squared correlation of two residuals above which no test distinguishes their errors."""
-UNCHECKED = 1e-6
-"""Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
 
 def redundancy_of(problem: NetworkProblem, factor: BlockFactor) -> Floats:

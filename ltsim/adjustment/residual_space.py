@@ -14,13 +14,11 @@ from typing import Self
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import Signature
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import Projection
-
-VISIBLE = 1e-6
-"""Share of a signature's squared size below which its rest after the adjustment is rounding, not information."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,12 @@ class ResidualSpace:
             rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge.whitened(gauge)
         return rows
 
+    def unwhitened(self, change: Floats) -> Floats:
+        """Readings (n, 3) [m, rad, rad] of whitened rows (m,); 0 for readings that are not in use."""
+        readings = np.zeros(self.use.shape)
+        readings[self.use] = change[: int(self.use.sum())] * self.sigma[self.use]
+        return readings
+
     def signature(self, law: Signature) -> Floats:
         """Whitened signature (m, q) of a law, before the adjustment takes its share."""
         gauge = self.adjustment.problem.gauge
@@ -125,6 +129,6 @@ def orthonormal(projected: Floats, norms: Floats) -> Floats:
     """
     unit = projected / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)
-    is_visible = strength > VISIBLE
+    is_visible = strength > UNCHECKED
     basis: Floats = unit @ (turn[:, is_visible] / np.sqrt(strength[is_visible]))
     return basis

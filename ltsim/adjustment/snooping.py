@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.reliability import critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.significance import MAJORITY, UNCHECKED
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import reweighted
 from ltsim.adjustment.structure import refusing_singular
@@ -30,14 +31,16 @@ LARGEST_ERROR = 1e-3
 WORKSHOP = 10.0
 """[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
 FACTOR = 30.0
+"""Ratio of a miss to the robust standard deviation of all misses above which a pointing is a gross error: that of no
+noise."""
 PASSES = 20
+"""Linear steps at most from approximate coordinates until no gross miss shrinks."""
 SETTLED = 0.9
 """A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
 RELAXATIONS = 8
+"""Reweightings before snooping: its single steps correct what these leave."""
 ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
-HALF = 0.5
-"""Share of the readings of a set-up above which they are rejected together where the rest does not hold its pose."""
 STEPS = 10
 """Iterations of a solution on the way; the last has as many as it needs."""
 UNPREDICTED = 100.0
@@ -261,7 +264,7 @@ def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
     )
-    return np.asarray(out > HALF * used)
+    return np.asarray(out > MAJORITY * used)
 
 
 def whitened_readings(problem: NetworkProblem, state: State) -> Floats:

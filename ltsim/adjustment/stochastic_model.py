@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.significance import FAR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
@@ -20,9 +21,10 @@ from ltsim.solve.gauss_newton import Solution, solve
 HUBER, CAUCHY = 2.0, 2.385
 """Residuals, in robust standard deviations, from which weights of Huber fall and at which those of Cauchy are one half:
 of normal residuals 97 and 95 % efficiency."""
-FAR, MANY = 50.0, 0.02
-"""Residual, in declared standard deviations, that no noise explains, and the share of such readings that is many."""
+MANY = 0.02
+"""Share of readings with residuals above `FAR` declared standard deviations that is many."""
 STEPS = 25
+"""Reweightings at most, each with a linear step."""
 STILL = 1e-2
 """Squared length of a step, in standard deviations, after which the state moves no more."""
 
@@ -110,8 +112,12 @@ def _searched(
 
 Grouping = Literal["observable", "instrument"]
 CLOSE = 2e-3
+"""Relative change of variance factors that ends their estimation: a tenth of the standard deviation of one from 1,250
+readings."""
 PASSES = 30
+"""Estimates of the variance factors at most, for given outliers."""
 ROUNDS = 6
+"""Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 LEAST = 3.0
 """Redundancy below which a group says too little about its noise: it keeps the stated one."""
 

@@ -8,7 +8,7 @@ is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use th
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import AT_ONCE, Floats, Ints
 from ltsim.core.units import PPM
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.air import air_errors, turbulence_variance
@@ -17,8 +17,6 @@ from ltsim.recordings.air import Air
 from ltsim.solve.design import PIECE, Design, weighted
 
 TEMPERATURE, GRADIENT, TURBULENCE = "temperature of the air", "gradient of the air", "turbulence"
-AT_ONCE = 4_000_000
-"""Numbers of a covariance in memory at a time."""
 
 
 def reach_of(adjustment: Adjustment, columns: Ints) -> Floats:

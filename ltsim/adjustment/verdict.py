@@ -9,10 +9,10 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import warnings_of
 from ltsim.adjustment.reliability import FEW
+from ltsim.adjustment.significance import GLOBAL_LEVEL
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
-LEVEL = 0.05
 ONLY_A_FEW = 0.05
 """Share of readings up to which outliers are single errors and not the noise itself."""
 
@@ -48,7 +48,7 @@ class Verdict:
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
-def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
+def verdict(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
     """The verdict on an adjustment, by a global test at a two-sided `level`."""
     judged, open_ = _by_tests(adjustment, level), warnings_of(adjustment)
     if not open_:
@@ -111,7 +111,7 @@ def _reasons(adjustment: Adjustment) -> str:
     )
 
 
-def noise_to_declare(adjustment: Adjustment, level: float = LEVEL) -> str:
+def noise_to_declare(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
     """Advice on the noise to declare where readings scatter less than declared, in a sentence; empty where none do.
 
     Observables are taken one by one: their residuals' sum of squares over their redundancy, below what chance leaves.

@@ -18,6 +18,7 @@ from pydantic import Field
 from scipy import linalg, special
 
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
 from ltsim.core.arrays import Floats
@@ -30,8 +31,7 @@ RESOLVED = 1e-12
 """Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
 variances."""
 ROUNDS, SETTLED = 2000, 1e-4
-LEVEL = 0.01
-"""A parameter is reported as changed at this family-wise level (Holm over the parameters of two calibrations)."""
+"""Steps of expectation and maximisation at most (they converge linearly); change of log variances that ends them."""
 
 
 class ChiSquareEntry(Entry):
@@ -192,7 +192,8 @@ class CalibrationSeries(ValueEquality):
     def change(self, first: int, second: int) -> ChangeEntry:
         """Change from calibration number `first` to number `second`: later minus earlier, each with its p-value.
 
-        Parameters that changed are identified by Holm's procedure at `LEVEL`; the p-value of an undetermined one is 1.
+        Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
+        of 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [first, second]] = -1.0, 1.0
@@ -201,7 +202,7 @@ class CalibrationSeries(ValueEquality):
         z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         chances = 2.0 * special.ndtr(-np.abs(z))
         order = np.argsort(chances)
-        holds = chances[order] > LEVEL / np.arange(len(order), 0, -1)
+        holds = chances[order] > FAMILY_LEVEL / np.arange(len(order), 0, -1)
         changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
         unit = self.prior_sigma / [p.factor for p in parameters]
         test: dict[str, Any] = _test(*self._contrasted(contrast, self._informative)).model_dump()

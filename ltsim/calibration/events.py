@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import Field
 from scipy import special
 
-from ltsim.calibration.calibration_series import LEVEL, CalibrationSeries
+from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
@@ -65,7 +66,7 @@ def events(history: CalibrationSeries) -> tuple[EventEntry, ...]:
     )
     tested = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
     growth, looks = _growth(history), len(steps) * max(len(tested), 1)
-    each = {k: _steps(difference[:, k], sigma[:, k], growth, LEVEL / looks) for k in tested}
+    each = {k: _steps(difference[:, k], sigma[:, k], growth, FAMILY_LEVEL / looks) for k in tested}
     significant = sorted((i, k, usual, p) for k, entries in each.items() for i, usual, p in entries)
     return tuple(
         EventEntry(

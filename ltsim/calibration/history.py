@@ -6,7 +6,8 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
-from ltsim.calibration.calibration_series import LEVEL, CalibrationSeries, ChangeEntry, ChiSquareEntry
+from ltsim.adjustment.significance import FAMILY_LEVEL
+from ltsim.calibration.calibration_series import CalibrationSeries, ChangeEntry, ChiSquareEntry
 from ltsim.calibration.events import EventEntry, events
 from ltsim.calibration.schema import Fit
 from ltsim.core.errors import ModelError
@@ -184,7 +185,7 @@ class History(ResultFile):
             [
                 c.from_,
                 c.to,
-                listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
+                listing(c.changed) or ("no single one" if c.p_value < FAMILY_LEVEL else ""),
                 c.chi2,
                 c.dof,
                 c.p_value,

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
-from ltsim.adjustment.identification import Selection, identified, outcomes
-from ltsim.adjustment.identification.fit import changed_recording
+from ltsim.adjustment.identification import Selection, adapted, identified, outcomes
 from ltsim.adjustment.identification.tests import sentence_of
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.adjustment.quality import require_usable
 from ltsim.adjustment.reference_tests import KINDS, SCALED
-from ltsim.adjustment.station_motions import Motion, moving_stations
 from ltsim.adjustment.stochastic_model import Grouping
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
@@ -37,8 +35,6 @@ from ltsim.recordings.result_file import SourceEntry
 
 PASSES = 5
 """Largest number of adjustments until the noise and the set of widened priors no longer change."""
-MISFIT = 1e-3
-"""Stations are tested for motion if the p-value of chi-square is below this."""
 
 
 def calibrate_network(
@@ -176,29 +172,6 @@ def _uncertainty_factor(adjustment: Adjustment) -> float:
     return uncertainty_factor(result.fit_of(adjustment), by_estimate=result.verdict_of(adjustment).by_estimate)
 
 
-def _adapted(
-    recording: Recording, construction: Construction, selection: Selection, effects: Sequence[Signature], **how: Any
-) -> Adjustment:
-    """Adjustment with the simple causes in its model, started at their state, without gross outliers."""
-    fit = selection.fit
-    changed = changed_recording(recording, fit.hypotheses)
-    instrument = np.zeros((len(recording.instruments), construction.size))
-    if construction.size == fit.state.instrument.shape[1]:
-        instrument = fit.state.instrument
-    extra = np.zeros(sum(len(e.parameters) for e in effects))
-    start = replace(fit.state, instrument=instrument, extra=np.concatenate([extra, fit.state.extra]))
-    adjustment = adjusted_network(
-        changed,
-        construction,
-        effects=(*effects, *fit.effects),
-        use=~(fit.outliers & fit.is_gross),
-        start=start,
-        **how,
-    )
-    causes = tuple(sentence_of(fit, choice.hypothesis) for choice in selection.choices)
-    return replace(adjustment, causes=causes)
-
-
 def _grouping(noise_from_data: bool) -> Grouping | None:
     return "instrument" if noise_from_data else None
 
@@ -215,18 +188,20 @@ def _adjusted(
 ) -> Adjustment:
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     if selection is not None and selection.leads:
-        adjustment = _adapted(recording, construction, selection, effects, **how)
+        fit = selection.fit
+        how["use"] = ~(fit.outliers & fit.is_gross)
+        adjustment = adapted(fit, recording, construction, fit.hypotheses, effects=effects, **how)
+        causes = tuple(sentence_of(fit, choice.hypothesis) for choice in selection.choices)
+        adjustment = replace(adjustment, causes=causes)
         require_usable(adjustment)
         return _in_frame(adjustment, datum)
     how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
+    effects = (*effects, *(() if selection is None else selection.motions))
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
     if adjustment.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in adjustment.rejected_references):
         how["judging"] = KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
         adjustment = adjusted_network(recording, construction, effects=effects, **how)
     require_usable(adjustment)
-    if moving := _moving(adjustment):
-        adjustment = adjusted_network(recording, construction, effects=(*effects, *moving), **how)
-        require_usable(adjustment)
     return _in_frame(adjustment, datum)
 
 
@@ -235,19 +210,6 @@ def _in_frame(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment
     if datum and not adjustment.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return adjustment
-
-
-def _moving(adjustment: Adjustment) -> tuple[Motion, ...]:
-    """Moving stations; in a network without instrument parameters they are tested with these estimated."""
-    if adjustment.construction.size:
-        return moving_stations(adjustment)
-    if not adjustment.p_value < MISFIT and not adjustment.outliers():
-        return ()
-    try:
-        built = declared_construction(adjustment.recording)
-    except NetworkError:  # two designs: they have no common construction
-        return moving_stations(adjustment)
-    return moving_stations(adjusted_network(adjustment.recording, built, robust=True))
 
 
 def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, **fields: Any) -> Calibration:

@@ -9,16 +9,13 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import FREED, ParameterPrior
 from ltsim.adjustment.reliability import FEW
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE, Direction
+from ltsim.adjustment.significance import FAMILY_LEVEL, SINGLE_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.probability import P_CONSTANT
 
-LEVEL = 0.01
-"""A combination contradicts its prior if its two-sided p-value, corrected for all combinations, is below this."""
-RARE = 1e-3
-"""The noise is estimated if the p-value of as small a chi-square under the declared noise is below this."""
 NOISE_FREE = 0.1
 """Readings count as free of noise if sigma0 is below this: a simulation without noise, where it cannot be estimated."""
 UNEXPLAINED = 2.0
@@ -41,7 +38,7 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
 def noise_overstated(adjustment: Adjustment) -> bool:
     """True if readings scatter less than declared, which no missing effect explains: the noise is overstated."""
     testable = adjustment.dof >= FEW and sigma0_of_readings(adjustment) > NOISE_FREE
-    return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < RARE)
+    return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_LEVEL)
 
 
 def prior_rejected(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
@@ -144,7 +141,7 @@ def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: flo
         deviation = vectors.T @ root @ (calibration.values[i] - prior.mean[i])[at]
         w = _normalised(deviation, gain) / scale
         k = int(np.argmax(np.abs(w)))
-        if abs(w[k]) > -special.ndtri(LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
+        if abs(w[k]) > -special.ndtri(FAMILY_LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
             combination = Direction(vectors[:, k], float(gain[k])).coefficients(
                 [calibration.names[i * size + j] for j in at]
             )

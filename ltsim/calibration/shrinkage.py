@@ -17,10 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.undetermined import UNINFORMATIVE
+from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
 from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
 from ltsim.calibration.schema import Correction
@@ -32,12 +34,12 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
-CONTRADICTS = 3.32
+"""Scales of the prior that are tried: steps of 12 %."""
+CONTRADICTS = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
 """The declared scale (1) is rejected if the maximum log-likelihood exceeds its own by more than this: likelihood ratio
-test at 1 %, half the 99 % point of chi-square with one degree of freedom."""
-PLAUSIBLE = 1.35
-"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided 95 %, half the 90 % point of
-chi-square with one degree of freedom."""
+test."""
+PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
+"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided likelihood ratio test."""
 UNLIKELY = 30.0
 """Prior scale above which the misfit is attributed to something other than the instrument parameters: no instrument
 exceeds its guarantee so far in all of them."""
@@ -49,6 +51,7 @@ parameter, 2 in units of chi-square."""
 LARGEST = 400
 """Held-out targets are tested in networks of at most this many poses and parameters (cost: a dense inverse)."""
 MOST_TARGETS = 150
+"""Targets that are held out at most; of more, some evenly spread (cost)."""
 FEWEST = 5
 """Held-out targets are tested if there are at least this many that predict each other."""
 
@@ -135,7 +138,7 @@ class ScaledPrior:
     ) -> None:
         self._is_free, self._rest = is_free, rest
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
-        self._strength = np.maximum(strength, 1e-12 * max(float(strength[-1]), 1.0))
+        self._strength = np.maximum(strength, 1e-12 * float(strength.max(initial=1.0)))
         self._information_vector = self._basis.T @ information_vector
         self._scales = SCALES[0.99 * least < SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength

@@ -11,6 +11,8 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+AT_ONCE = 4_000_000
+"""Numbers of a temporary array at most: 32 MB."""
 
 
 def side_by_side(*columns: Floats) -> Floats:

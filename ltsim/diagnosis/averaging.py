@@ -35,16 +35,27 @@ MOST_OPEN, LEAST = 12, 0.003
 """Largest number of averaged explanations, and the probability below which one is dropped (cost)."""
 
 
-def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
-    """Targets of a refit, shifted to the average over the alternative explanations of each member."""
+def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> tuple[Targets, Floats]:
+    """Average over the alternative explanations of each member of a refitted model.
+
+    Returns
+    -------
+    Targets
+        Coordinates, those of the refit to second order.
+    (n, 3) float
+        Difference of the expected change of the readings from that of the refit [m, rad, rad].
+    """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
-    points = fitted.adjustment.state.points - first_order_shift(searcher, searcher.with_members(refitted))
+    space, linear = searcher.space, first_order_change(searcher, searcher.with_members(refitted))
+    points, change = fitted.adjustment.state.points + space.moved_targets(linear), -linear
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(model, i)
-        weights, shifts = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
+        weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
+        shifts = np.stack([-space.moved_targets(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
+        change += weights @ changes
         by_laws += mean if not model.members[i].is_catalogued else 0.0
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(open_)
@@ -53,7 +64,7 @@ def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Rankin
     adjustment = fitted.adjustment
     covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target)
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return Targets(points - residual_shift, covariance, spread)
+    return Targets(points - residual_shift, covariance, spread), space.unwhitened(change)
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
@@ -88,9 +99,9 @@ def safe_share(size: float, spread: float, noise: float) -> float:
 def model_weights(
     searcher: Searcher, others: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Weights (k,) of explanations, the chosen one first, and the shift (k, T, 3) [m] of the targets by each.
+    """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
-    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, shift no target.
+    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, change no reading.
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
@@ -99,10 +110,10 @@ def model_weights(
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise(h))
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     shaped = _shaped(searcher, others, chosen)
-    shifts = [shift_of(searcher, others, h) for h, _ in (*shaped, *entries)]
-    shifts.append(np.zeros_like(shifts[0]))
+    changes = [expected_change(searcher, others, h) for h, _ in (*shaped, *entries)]
+    changes.append(np.zeros_like(changes[0]))
     weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
-    return weights / weights.sum(), np.array(shifts)
+    return weights / weights.sum(), np.array(changes)
 
 
 def _is_noise(hypothesis: Hypothesis) -> bool:
@@ -122,17 +133,17 @@ def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple
     return [(replace(chosen, effect=node.effect), float(p)) for node, p in ranked if p > LEAST]
 
 
-def first_order_shift(searcher: Searcher, model: Model) -> Floats:
-    """First-order shift (T, 3) [m] of the adjusted targets by all members of a refitted model."""
+def first_order_change(searcher: Searcher, model: Model) -> Floats:
+    """First-order change (m,) of the whitened readings by all members of a refitted model."""
     if not model.members:
-        return np.zeros((len(searcher.space.sightings.points), 3))
+        return np.zeros(searcher.space.size)
     mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
-    signatures = np.hstack([searcher.space.signature(h.effect) for h in model.members])
-    return -searcher.space.moved_targets(signatures @ mean)
+    change: Floats = np.hstack([searcher.space.signature(h.effect) for h in model.members]) @ mean
+    return change
 
 
-def shift_of(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
-    """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk by its prior, is taken out."""
+def expected_change(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
+    """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
     moments = searcher.exact.moments([hypothesis.effect], others)[0]
-    mean = posterior(*moments, hypothesis.spread)[0]
-    return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)
+    change: Floats = searcher.space.signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
+    return change

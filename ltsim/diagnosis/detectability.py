@@ -15,8 +15,9 @@ from ltsim.adjustment.remedies.detectability import (
 )
 from ltsim.adjustment.remedies.next_measurement import deciding, explanation, space_of
 from ltsim.adjustment.remedies.remedy import advice
-from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
-from ltsim.core.arrays import Floats
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import UNCHECKED
+from ltsim.core.arrays import AT_ONCE, Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -32,8 +33,6 @@ TIE = 1e-6
 """Sizes within this relative difference are equal, and the first is reported: rounding must not decide."""
 DIGITS = 6
 """Decimals [um] to which a distortion is rounded."""
-AT_ONCE = 1_000_000
-"""Numbers of signatures in memory at a time."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 
@@ -71,7 +70,9 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDet
             grams = np.stack(space.projection.grams(signatures, edges, slice(None)))
             norm = np.linalg.norm(signatures, axis=0).reshape(-1, size)
             unit = np.where(norm > 0, norm, 1.0)
-            information, share, rank = visible_information(grams / (unit[:, :, None] * unit[:, None, :]), norm, VISIBLE)
+            information, share, rank = visible_information(
+                grams / (unit[:, :, None] * unit[:, None, :]), norm, UNCHECKED
+            )
             entries += zip(batch, information, share.tolist(), rank.tolist(), repeat(np.zeros((0, 0))))
     return effect_detectability(entries, len(effects))
 

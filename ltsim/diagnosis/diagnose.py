@@ -13,9 +13,10 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import DIAGNOSED_POINTINGS
-from ltsim.diagnosis.averaging import averaged_targets
+from ltsim.diagnosis.averaging import averaged
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.detectability import DetectabilityReport, detectability_report
@@ -28,7 +29,7 @@ from ltsim.diagnosis.hypotheses import Model, likeliest
 from ltsim.diagnosis.instruments import Contradiction, HistoryExpectation, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.null_ensemble import TRIALS
-from ltsim.diagnosis.preprocessing import adapted, agreeing
+from ltsim.diagnosis.preprocessing import adapted_baseline, agreeing
 from ltsim.diagnosis.schema import BeforeAfter, DetectableEntry, Finding, GlobalTest, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
@@ -103,14 +104,14 @@ def diagnose(
         baseline, mistaken = adjust(recording, construction), list[Finding]()
         use = baseline.problem.use
     else:
-        baseline, use, mistaken = adapted(recording, construction, selection)
+        baseline, use, mistaken = adapted_baseline(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
     case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
     beginning, detection, model, fitted = _searched(case, level, compared)
     if selection is not None and model.members:
         restored = agreeing(fitted.adjustment, np.isfinite(recording.readings) & ~use)
         if restored.any():  # the effects of the model explain them
-            baseline, use, mistaken = adapted(recording, construction, selection, restored=restored)
+            baseline, use, mistaken = adapted_baseline(recording, construction, selection, restored=restored)
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
             beginning, detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level
@@ -301,7 +302,8 @@ def _report(
     case, model, detection = explained.case, explained.model, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
     shifts = [explained.finding(i) for i, finding in enumerate(model.members) if finding.key not in explained.withheld]
-    noises = [noise_finding(finding, baseline.sightings, detection) for finding in case.noise]
+    clock = case.recording.has_clock
+    noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
     sure = [finding for finding in (*shifts, *noises) if finding.evidence.chance >= LIKELY]
     alone = not certain and all(finding.effect == NoiseLevel.name for finding in sure)
     likely = (sure + [finding for finding in shifts if finding not in sure] or noises) if alone else sure
@@ -315,7 +317,7 @@ def _report(
     verdict = "mismatch" if mismatch or certain else "consistent"
     detectable, undetectable = detectability
     return Diagnosis.of(
-        DiagnosisArrays(_targets(explained, shifts, noises), baseline, adjusted),
+        DiagnosisArrays(*_averaged(explained, shifts, noises), baseline, adjusted),
         recording=source,
         verdict=verdict,
         summary=summarise(
@@ -336,12 +338,16 @@ def _report(
     )
 
 
-def _targets(explained: Explained, shifts: Sequence[Finding], noises: Sequence[Finding]) -> Targets:
-    """Targets averaged over explanations; those of the calibration if no cause is more probable than not."""
+def _averaged(explained: Explained, shifts: Sequence[Finding], noises: Sequence[Finding]) -> tuple[Targets, Floats]:
+    """Targets and difference of the change of the readings (n, 3), averaged over explanations.
+
+    The targets are those of the calibration if no cause is more probable than not.
+    """
     case = explained.case
+    targets, change = averaged(case.searcher, explained.model, explained.rankings, explained.refit)
     if not any(finding.evidence.chance >= LIKELY for finding in (*shifts, *noises)):
-        return averaged_targets(case.searcher, case.empty, (), Refit(case.baseline, (), ()))
-    return averaged_targets(case.searcher, explained.model, explained.rankings, explained.refit)
+        targets, _ = averaged(case.searcher, case.empty, (), Refit(case.baseline, (), ()))
+    return targets, change
 
 
 def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut:

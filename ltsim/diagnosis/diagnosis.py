@@ -51,6 +51,8 @@ class DiagnosisArrays(ValueEquality):
     """Networks of a diagnosis, and its coordinates."""
 
     targets: Targets
+    averaging_change: Floats
+    """Change of the readings averaged over the explanations, less that of the refit, (n, 3) [m, rad, rad]."""
     baseline: Adjustment
     """The ordinary adjustment."""
     adjusted: Adjustment
@@ -165,11 +167,12 @@ class Diagnosis(ResultFile):
     def modelled_change(self, recording: Recording) -> Floats:
         """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
 
-        `recording` is the recording that was diagnosed; readings without a modelled change have 0.
+        Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
+        recording that was diagnosed; readings without a modelled change have 0.
         """
         adjusted, state = self.adjusted, self.adjusted.state
         model = adjusted.problem.model
-        change = model.effects_shift(model.sightings(state), state.extra)
+        change = model.effects_shift(model.sightings(state), state.extra) + self.arrays.averaging_change
         change = np.where(adjusted.rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap(corrected[:, 1:])

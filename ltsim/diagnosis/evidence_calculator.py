@@ -20,7 +20,7 @@ from ltsim.physics.laws.responses import RESPONSES
 
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
-MOST_STEPS = 6
+MOST_STEPS = 12
 """Largest number of steps of the local search."""
 AT_ONCE = 3_000_000
 """Numbers of signatures in memory at a time: some tens of MB."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
+from ltsim.adjustment.significance import NOT_EXCLUDED
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
 from ltsim.diagnosis.detect import Detection
@@ -29,7 +30,7 @@ from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.places import trackers_of
 from ltsim.physics.laws.regressors import words_of
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import AT_EACH_SET_UP, describe, region_words
+from ltsim.physics.laws.words import AT_EACH_SET_UP, describe, region_words, value_of
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -37,8 +38,6 @@ MOST_EQUIVALENTS = 3
 """Largest number of reported equivalents."""
 MOST_ESTIMATES = 12
 """Largest number of reported sizes of one change of the noise by target or set-up."""
-NOT_EXCLUDED = 0.01
-"""Another effect is reported as an equivalent if its probability exceeds this."""
 FEW_READINGS, MOSTLY = 4, 0.8
 """Readings are listed if at most this many carry this share of the decrease of chi-square."""
 SURE = 2.0
@@ -259,8 +258,10 @@ class Explained:
         return estimates if self.case.recording.has_clock else tuple(without_clock(e) for e in estimates)
 
 
-def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
-    """Finding of a change of the noise, in the observables where it is significant."""
+def noise_finding(
+    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, clock: bool = True
+) -> Finding:
+    """Finding of a change of the noise, in the observables where it is significant; time in rows without a `clock`."""
     effect = hypothesis.effect
     where = where_of(effect, _scattering(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
@@ -275,6 +276,9 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
             worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
+        if effect.band:
+            low, high = (value_of(effect.covariates[0], value, clock=clock) for value in effect.band)
+            most = f", from {low} to {high}"
         if effect.region is not None:
             most = f", {region_words(effect.region)}"
             rows += [

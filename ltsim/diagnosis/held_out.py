@@ -17,14 +17,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.evidence import wide_posterior
 from ltsim.diagnosis.search import Searcher
 
 FOLDS = 5
-PREDICTED = 1e-6
-"""Directions with less redundancy than this are not predicted by the rest of the network (rounding)."""
+"""Folds of the readings, the usual number of cross-validation: each search has 80 % of them."""
 
 
 class HeldOut(NamedTuple):
@@ -55,7 +55,7 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
     groups = folds(space, seed)
     for rows, (values, vectors) in zip(groups, space.projection.spectra(groups), strict=True):
         before += _square(space.residual[rows], values, vectors)
-        count += len(rows) - int(np.sum(values >= 1.0 - PREDICTED))
+        count += len(rows) - int(np.sum(values >= 1.0 - UNCHECKED))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
             remaining = space.residual - space.project(_shift(space, fold_search, threshold))
@@ -76,7 +76,7 @@ def folds(space: ResidualSpace, seed: int) -> list[Ints]:
 def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
     """R' (1 - H)^-1 r on a fold, by the spectrum of H there; what lies across all eigenvectors has redundancy one."""
     along = (vectors.T @ residual) ** 2
-    predicted = values < 1.0 - PREDICTED
+    predicted = values < 1.0 - UNCHECKED
     return float(residual @ residual - along.sum() + np.sum(along[predicted] / (1.0 - values[predicted])))
 
 

@@ -9,7 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.adjustment.residual_space import VISIBLE, orthonormal
+from ltsim.adjustment.residual_space import orthonormal
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import best_of
@@ -106,7 +107,7 @@ class Model:
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
         gram, score = self.products
         strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
-        visible = strength > VISIBLE
+        visible = strength > UNCHECKED
         return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[visible] ** 2 / strength[visible]))
 
     @cached_property

@@ -11,6 +11,7 @@ from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import CORRECTED_SHARE, ParameterPrior, prior_sigmas
+from ltsim.adjustment.significance import NOT_EXCLUDED
 from ltsim.calibration.evidence import (
     by_plausible_sizes,
     determined,
@@ -34,8 +35,6 @@ from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance, in guarantees, of a constant that is selected as changed while the others are tested."""
-MIN_RIVAL_SHARE = 0.01
-"""Another constant is reported as an alternative if its share of the evidence exceeds this."""
 MIN_EIGENVALUE = 1e-6
 """Changes are distinguishable if the smallest eigenvalue of their correlation exceeds this (rounding); of others the
 more probable is reported."""
@@ -220,7 +219,7 @@ def _contradiction(
         rivals={
             parameters[changes[rivals[i]].constant]: float(share[i])
             for i in np.argsort(-share)
-            if share[i] > MIN_RIVAL_SHARE
+            if share[i] > NOT_EXCLUDED
         },
     )
 

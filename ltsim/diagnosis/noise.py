@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import scipy.sparse as sp
@@ -38,7 +38,7 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.places import Place, clusters, trackers_of
 from ltsim.physics.laws.regressor_library import further
-from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction
+from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction, size_or_value
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
@@ -54,6 +54,16 @@ LEAST_SHARE = 0.05
 """Lower bound on the redundancy of a mean of repeats (its diagonal form may be negative)."""
 FINE = 48
 """Number of sizes over which the best hypotheses are averaged: steps of a tenth."""
+MOST_BANDED = 2000
+"""Number of pointings up to which noise in bands of a covariate is a hypothesis (cost)."""
+TIME_SPANS = 12
+"""Parts of the work between whose ends the noise may be larger."""
+SECTORS = (np.pi / 4.0, np.pi / 2.0)
+"""[rad] Widths of the sectors of directions in which the noise may be larger."""
+THRESHOLDS = (0.25, 0.5, 0.75)
+"""Thresholds of other covariates beyond which the noise may be larger, as quantiles."""
+LEAST_BAND = 0.05
+"""Smallest share of the pointings inside a sector, and outside it."""
 NOISY_REGIONS = ("xyz", "xy", "x", "y")
 """Shapes of the regions of the hall in which lines of sight may have more noise."""
 LARGEST = 400.0
@@ -92,6 +102,10 @@ def _patterns(
     for at, acts, name, falling in product(places, SCATTERING[:-1], [*regressors, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
         yield " and ".join(acts), pattern, GROWING
+    if len(sightings) <= MOST_BANDED:
+        for at, acts, (name, band) in product(places, SCATTERING, _bands(sightings)):
+            family = "time span" if name == "time" else "band"
+            yield family, replace(at, observables=acts, covariates=(name,), band=band), AT_TARGETS
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
     for acts in SCATTERING:
@@ -101,6 +115,29 @@ def _patterns(
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
     for region, acts in product(regions_of(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)):
         yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
+
+
+def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Covariates, and two of their values between which the noise may be larger."""
+    time = sightings.quantities["time"]
+    edges = np.unique(np.quantile(time, np.linspace(0.0, 1.0, TIME_SPANS + 1)))
+    for low, high in combinations(edges.tolist(), 2):
+        if high - low < np.ptp(time):
+            yield "time", (low, high)
+    for name, width in product(("azimuth", "bearing"), SECTORS):
+        for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
+            inside = np.remainder(sightings.quantities[name] - start, 2.0 * np.pi) <= width
+            if LEAST_BAND <= inside.mean() <= 1.0 - LEAST_BAND:
+                yield name, (start, start + width)
+    names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation", *further(sightings)]
+    names += ["incidence"] if np.isfinite(sightings.incidence).any() else []
+    for name in names:
+        x = size_or_value(sightings, name)
+        low, high = float(x.min()), float(x.max())
+        for threshold in np.unique(np.quantile(x, THRESHOLDS)).tolist():
+            if low < threshold < high:
+                yield name, (low, threshold)
+                yield name, (threshold, high)
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -149,8 +186,15 @@ class NoiseBank:
         means = sp.csr_array(sp.vstack(repeated))
         used, variance = space.use, space.sigma**2
         parts: list[tuple[Ints, Floats]] = []
+        added: dict[VarianceFunction, Floats] = {}  # per unit of the size, of which the variance is linear
         for h in hypotheses:
-            factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
+            if isinstance(h.effect, VarianceFunction):
+                if h.effect not in added:
+                    unit = h.effect.variance(space.sightings, space.sigma, np.ones(1))
+                    added[h.effect] = (unit / variance)[used] - 1.0
+                factor = 1.0 + h.values[0] * added[h.effect]
+            else:
+                factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
             if faces := getattr(h.effect, "repeating", ""):
                 grown = [
                     _variance_of_mean(m, factor if kind == faces else np.ones(0))

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.centring import correct_centring
-from ltsim.adjustment.identification import Selection, outcomes
-from ltsim.adjustment.identification.fit import Fit, changed_recording
+from ltsim.adjustment.identification import Fit, Selection, adapted, outcomes
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.adjustment.identification.selection import BEYOND_DOUBT
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings_from_tests import axis_finding, finding_of, gross_finding
 from ltsim.diagnosis.schema import Finding
-from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
@@ -63,7 +59,7 @@ def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
     return omitted & (whitened < AGREES)
 
 
-def adapted(
+def adapted_baseline(
     recording: Recording, construction: Construction, selection: Selection, *, restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """The adjustment with the mistakes of a selection in its model, readings (n, 3) to use, and the findings.
@@ -72,15 +68,10 @@ def adapted(
     Readings that are `restored` (n, 3) are no errors.
     """
     fit, mistakes = selection.fit, mistakes_in(selection)
-    clean, effects = changed_recording(recording, mistakes), tuple[Signature, ...]()
-    if any(isinstance(h.change, Shift) for h in mistakes):
-        corrected, effects = fit.corrected(recording, outliers=True), fit.effects
-        clean = clean.with_readings(corrected.readings)
     errors = single_errors(fit)
     if restored is not None:
         errors &= ~restored
-    start = replace(fit.state, extra=np.zeros(sum(len(e.parameters) for e in effects)))
-    baseline = adjust(clean, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=start)
+    baseline = adapted(fit, recording, construction, mistakes, subtracted=True, use=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(h.kind, h.stations, h.targets) for h in mistakes}
     tests = [
@@ -91,6 +82,6 @@ def adapted(
     ]
     moved, tripods = correct_centring(baseline)
     if tripods:
-        baseline = adjust(moved, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=baseline.state)
+        baseline = adjust(moved, construction, effects=baseline.effects, use=~errors, start=baseline.state)
     axes = [test for test in baseline.axis_tests if test.excluded]
     return baseline, ~errors, [*map(finding_of, tests), *map(axis_finding, axes), *map(gross_finding, tripods)]

@@ -46,7 +46,9 @@ ROOM = 2
 """A law needs this many pointings per coefficient at its place: the adjustment absorbs about half of them."""
 AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of drivers of one instrument, and of one set-up."""
-ONLY = dict.fromkeys(("product", "passage", "lever", "near"), ("reading",)) | {"room": ("target",)}
+IN_THE_HALL = ("passage", "lever", "passage for a time", "lever for a time", "near")
+"""Kinds of drivers of regions of the hall."""
+ONLY = dict.fromkeys(("product", *IN_THE_HALL), ("reading",)) | {"room": ("target",)}
 """Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
 SWINGS = (*CLOCKS, *WORK)
 """Covariates of waves of other responses than readings."""
@@ -182,7 +184,8 @@ class _Maker:
 
 def _passes(name: str, carrier: ResponseTerm) -> bool:
     """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
-    return name not in ("passage", "lever") or ("distance" in carrier.observables) == (name == "passage")
+    way = name.removesuffix(" for a time")
+    return way not in ("passage", "lever") or ("distance" in carrier.observables) == (way == "passage")
 
 
 def _swings(kind: str, wave: Regressor) -> bool:

@@ -25,13 +25,16 @@ SHAPES = {
 }
 """Shapes by the axes that confine them."""
 LEAST_STEP, MOST_STEPS = 0.5, 10
-"""[m] Smallest distance between the centres that are tried, and largest number of them along an axis (cost)."""
+"""[m] Smallest distance between the centres of the coarsest grid, and largest number of them along an axis (cost)."""
+SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
+"""Parts of that distance in the grids of regions that one, two and three axes confine: thin ones are found by thin ones
+alone, since a region several times as wide as the cause has a tenth of its evidence."""
 LEAST_PASSING, MOST_PASSING = 6, 0.8
 """Smallest number, and largest share, of the lines of sight that pass a region that is tried: what fewer lines pass is
 an error of single readings, what almost all pass an error of the whole recording."""
 LEAST_TARGETS = 2
 """Smallest number of targets behind it: what lies on the lines to one target alone is an error of that target."""
-MOVES, FACTORS = (0.5, 0.15), (0.7, 1.4)
+MOVES, FACTORS = (0.5, 0.15), (0.5, 0.7, 1.4, 2.0)
 """Moves of a centre, in widths, and factors on the width, by which a region is refined."""
 AT_ONCE = 300_000
 """Lines of sight in regions that are in memory at a time: some tens of MB."""
@@ -179,15 +182,21 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
 
 
 def _regions(sightings: Sightings, axes: str) -> list[Region]:
-    """Regions of one shape on the grid."""
+    """Regions of one shape on its grids."""
     low, high = extent(sightings)
-    step = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
+    coarsest = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
+    return [r for parts in SUBDIVISIONS[len(axes)] for r in _on_grid(sightings, axes, coarsest / parts)]
+
+
+def _on_grid(sightings: Sightings, axes: str, step: float) -> list[Region]:
+    """Regions of one shape on a grid with a distance `step` [m] between the centres."""
+    low, high = extent(sightings)
     width, regions = round(0.5 * step, 6), list[Region]()
     grids = [np.arange(low[i] + 0.5 * step, high[i], step).round(6).tolist() for i in map("xyz".index, axes)]
     centres = np.array(list(product(*grids))).reshape(-1, len(axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
         inside = paths(sightings, axes, part, width)
-        chosen = np.flatnonzero(_distinctive(inside > width, sightings))
+        chosen = np.flatnonzero(is_distinctive(inside > width, sightings))
         beyond = levers(sightings, axes, part[chosen], width, inside[chosen])
         for i, lever in zip(chosen.tolist(), beyond, strict=True):
             regions.append(region := Region(axes, tuple(part[i].tolist()), width))
@@ -195,7 +204,7 @@ def _regions(sightings: Sightings, axes: str) -> list[Region]:
     return regions
 
 
-def _distinctive(passing: Bools, sightings: Sightings) -> Bools:
+def is_distinctive(passing: Bools, sightings: Sightings) -> Bools:
     """Regions (r,) that enough lines of sight (r, n) to several targets pass, and not almost all."""
     count = passing.sum(axis=1)
     enough = (count >= LEAST_PASSING) & (count <= MOST_PASSING * len(sightings))

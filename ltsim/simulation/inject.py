@@ -10,7 +10,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import UNCHECKED
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Columns, Result, Table, numbers
@@ -181,7 +182,7 @@ class Injector:
         whole = space.whiten(change[:, :, None], self.lengths(cause, values)[:, None])[:, 0]
         projected = space.project(whole)
         square = float(projected @ projected)
-        return square if square > VISIBLE * float(whole @ whole) else 0.0
+        return square if square > UNCHECKED * float(whole @ whole) else 0.0
 
     def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
         """The values times what leaves the wanted noncentrality; raises ModelError where none does."""

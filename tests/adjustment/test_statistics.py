@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w, noncentrality, p_value_of_tau
+from ltsim.adjustment.reliability import critical_w, noncentrality, p_value_of_tau
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment

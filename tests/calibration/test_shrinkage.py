@@ -223,6 +223,13 @@ def test_what_no_instrument_has_is_not_applied() -> None:
     assert "no correction is applied" in asked.doubt
 
 
+def test_without_a_term_that_helps_held_out_targets_nothing_is_applied() -> None:
+    nothing = ScaledPrior(np.zeros((0, 0)), np.zeros(0))
+    applied, note = nothing.shrunk_correction(np.zeros((0, 0)))
+    assert not len(applied) and note == nothing.doubt == ""
+    assert nothing.errors(np.zeros((0, 0)), applied) == (0.0, 0.0)
+
+
 def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_each_other(
     evidence: tuple[Floats, Floats],
 ) -> None:

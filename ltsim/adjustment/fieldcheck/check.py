@@ -28,6 +28,7 @@ from ltsim.adjustment.fieldcheck.words import (
 )
 from ltsim.adjustment.identification import identified, outcomes
 from ltsim.adjustment.reliability import neg_log_p_chi2
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.station_motions import WITNESSES, EvenMotion, by_runs
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -41,7 +42,6 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
-LEVEL = 0.01
 MOST_GROSS = 0.1
 """Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
 TESTS = 6
@@ -53,7 +53,7 @@ MIN_TARGET_DOF = 6.0
 """Degrees of freedom from which a target shows a scatter of its own."""
 
 
-def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float, float] | None = None) -> Check:
+def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple[float, float] | None = None) -> Check:
     """Go or no-go in the field: two-face differences, repeated points, drift, bumps and scatter.
 
     Parameters
@@ -78,8 +78,9 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     True
     """
     whole = recording_of(recording)
-    selection = identified(whole) if len(whole.stations) > 1 else None
-    selection = selection if selection is not None and (selection.leads or selection.explains) else None
+    identification = identified(whole) if len(whole.stations) > 1 else None
+    selection = identification if identification and (identification.leads or identification.explains) else None
+    moving = identification.motions if identification is not None and selection is None else ()
     causes = () if selection is None else outcomes(selection)
     corrected = whole if selection is None else selection.fit.corrected(whole)
     paired = whole if selection is None else selection.fit.corrected(whole, outliers=True)
@@ -88,6 +89,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     setups, network = tuple(_set_up(corrected, paired, s, family, mpe) for s in every), tuple[Item, ...]()
     if len(whole.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
+        moving = tuple(motion for motion in moving if motion.stations not in {m.stations for m in motions})
         plain = plain_network(corrected, motions)
         read, shown, scattering = corrected, corrected, tuple[Item, ...]()
         if isinstance(plain, Adjustment):
@@ -96,7 +98,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
         if read is not corrected:  # a set-up is not blamed for what has a name
             setups = tuple(_set_up(read, read, s, family, mpe) for s in every)
         shared = Family(level, 2 * NETWORK_TESTS)
-        together = items_of_network(shown, plain, shared, motions, with_target_noise=shown is not corrected)
+        together = items_of_network(shown, plain, shared, motions, moving, with_target_noise=shown is not corrected)
         network = (*scattering, *together)
     result = Check.of(CheckArrays(whole, setups), network, level, causes)
     if not result.items:

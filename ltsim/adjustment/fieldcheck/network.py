@@ -15,8 +15,9 @@ from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import reference_tests
 from ltsim.adjustment.reference_values import Kind
 from ltsim.adjustment.reliability import FEW
-from ltsim.adjustment.station_motions import SuddenMotion, motion_sentences, moving_stations
-from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
+from ltsim.adjustment.significance import GLOBAL_LEVEL
+from ltsim.adjustment.station_motions import Motion, SuddenMotion, motion_sentences
+from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -31,8 +32,6 @@ TESTED: tuple[Kind, ...] = ("point", "difference", "length", "mark", "scale")
 """Known values that may be left out; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
-EXPLAINED = 0.05
-"""p-value below which the misfit is attributed to instrument errors; otherwise the network without them is used."""
 
 
 def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
@@ -75,13 +74,14 @@ def items_of_network(
     plain: Adjustment | LtsimError,
     family: Family,
     motions: Sequence[StationMotion],
+    moving: Sequence[Motion],
     *,
     with_target_noise: bool,
 ) -> tuple[Item, ...]:
     """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
 
     `plain` is the network of `adjust`, with the declared noise even if the recording is one `with_target_noise`;
-    `motions` of stations were estimated from their single set-ups.
+    `motions` of stations were estimated from their single set-ups, those `moving` from the network.
     """
     try:
         built = declared_construction(recording)
@@ -90,10 +90,8 @@ def items_of_network(
     try:
         if isinstance(plain, LtsimError):
             raise plain
+        motions = (*motions, *moving)
         fitted = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
-        if moving := moving_stations(fitted):
-            motions = (*motions, *moving)
-            fitted = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
         return (Item.of("", "network", False, f"the set-ups do not form a network: {problem}"),)
     items = [Item.of("", "network", False, doubt) for doubt in network_warnings(plain)]
@@ -140,7 +138,7 @@ def _at_work(without: Adjustment, fitted: Adjustment) -> bool:
     """True if the instrument's errors explain more of the network `without` them than an estimated noise factor."""
     count = fitted.problem.unknowns.instrument.size
     ratio = (without.chi2 - fitted.chi2) / count / max(fitted.chi2 / fitted.dof, 1e-30)
-    return bool(special.fdtrc(count, fitted.dof, max(ratio, 0.0)) < EXPLAINED)
+    return bool(special.fdtrc(count, fitted.dof, max(ratio, 0.0)) < GLOBAL_LEVEL)
 
 
 def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list[Item]:
@@ -152,7 +150,7 @@ def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list
     if not out.any():
         passed = less or p >= family.level
         verb = "agree" if passed else "disagree"
-        if passed and not less and alone < RARE:
+        if passed and not less and alone < GLOBAL_LEVEL:
             scatter += f", as noise brings it in one network of {1 / alone:.0f}"
         return [Item.of("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
     size = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)

@@ -11,6 +11,7 @@ Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Test
 identification and adaptation of model errors. Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773.
 """
 
+from ltsim.adjustment.identification.adaptation import adapted as adapted
 from ltsim.adjustment.identification.fit import Fit as Fit, Network as Network
 from ltsim.adjustment.identification.hypothesis import Hypothesis as Hypothesis
 from ltsim.adjustment.identification.selection import Selection as Selection, identified as identified, select as select

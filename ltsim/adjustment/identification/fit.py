@@ -30,6 +30,7 @@ from ltsim.adjustment.reference_values import (
     exchanged,
     reference_values,
 )
+from ltsim.adjustment.significance import FAR
 from ltsim.adjustment.snooping import LARGEST_ERROR, drop_undetermined, prediction_spread, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import robust_state
@@ -47,8 +48,6 @@ from ltsim.solve.gauss_newton import Solution, solve
 
 DETERMINED = 4.0
 """Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000."""
-FAR = 50.0
-"""Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
 REWEIGHTED, SAME_NOISE = 3, 0.05
 """Estimates of noise factors at most, and the relative change that ends them: less moves no log evidence by 0.1."""
 OTHER_OUTLIERS = 0.2

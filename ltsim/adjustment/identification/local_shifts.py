@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import Bools, Floats
+from ltsim.core.arrays import AT_ONCE, Bools, Floats
 
-AT_ONCE = 1_000_000
-"""Numbers of the designs that are fitted at once."""
 STEPS = 6
 """Reweightings of a shift."""
 TRIMMED = 2

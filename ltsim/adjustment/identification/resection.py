@@ -13,26 +13,22 @@ import numpy as np
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.sight import Sight
+from ltsim.adjustment.significance import FAR, MAJORITY
 from ltsim.adjustment.snooping import whitened_readings
 from ltsim.core.arrays import Bools, grouped
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import median_deviation
 
-FAR = 50.0
-"""Residual, in robust standard deviations of all readings, that no noise and no error of an instrument explains."""
-MOST = 0.5
-"""Share of far residuals of a set-up from which its pose is in doubt; with as many of all readings nothing holds it."""
-
 
 def resected(problem: NetworkProblem, state: State) -> State:
     """State in which set-ups with mostly far residuals stand where two of their observables say, if these are near."""
     recording, far = problem.model.recording, _far(problem, state)
-    if not far.any() or far[problem.use].mean() > MOST:
+    if not far.any() or far[problem.use].mean() > MAJORITY:
         return state
     whole, now = Sight.of(recording), far
     for station, rows in grouped(recording.station, np.flatnonzero(problem.use.any(axis=1))):
-        if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MOST:
+        if problem.marks.target[station] >= 0 or far[rows][problem.use[rows]].mean() <= MAJORITY:
             continue
         sight = whole.at(rows)
         for observable in range(len(OBSERVABLES)):

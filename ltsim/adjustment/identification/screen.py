@@ -20,15 +20,14 @@ from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, 
 from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
 from ltsim.adjustment.identification.local_shifts import LocalShift, fitted_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, relaxed_references
-from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.sight import Sight
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.adjustment.significance import UNCHECKED
+from ltsim.core.arrays import AT_ONCE, Bools, Floats, Ints
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
-AT_ONCE = 4_000_000
-"""Numbers of signatures that are projected at once."""
 EXACT = 3_000_000
 """Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
 MANY, HALF, PLACES = 6, 0.4, 5
@@ -114,7 +113,7 @@ def _exact(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
             score = np.einsum("mhi,m->hi", unit, space.residual)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
-            visible = strength > VISIBLE
+            visible = strength > UNCHECKED
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
             shown = visible.sum(axis=1)
             value = np.array([_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])

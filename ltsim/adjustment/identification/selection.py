@@ -11,14 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.identification.fit import Fit, Network
-from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, NoiseFactor, Omission
+from ltsim.adjustment.identification.hypothesis import Exchange, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.adjustment.identification.library import conventions, exchanges, omissions_of
 from ltsim.adjustment.identification.screen import looks
 from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.significance import FAMILY_LEVEL, NOT_EXCLUDED
 from ltsim.adjustment.snooping import LARGEST_ERROR
+from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import ADJUSTED_POINTINGS
+from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
@@ -46,8 +49,8 @@ LARGE = 1500
 """Pointings from which a network that agrees as a whole is not looked at place by place: 5 s of processor time."""
 COMPUTED = 1e-6
 """Chi-square over degrees of freedom below which readings are computed: a thousandth of the declared noise."""
-AGREES, FEW = 0.01, 0.01
-"""Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
+FEW = 0.01
+"""Share of outliers below which a large network agrees, if the global test accepts it at `FAMILY_LEVEL`."""
 FAR_AMONG = 3
 """Reference values among which one may be far off and omitted at the beginning: of more no majority tells which."""
 AFTER_ALL = 0.5
@@ -56,8 +59,6 @@ BENDS = 50.0
 """Log evidence of a shift of ten standard deviations; a smaller shift hardly changes where a network converges."""
 FULFILLED = 0.8
 """Share of its promise, a quadratic form at the present state, from which the look at the others may be trusted too."""
-ALTERNATIVE = 5.0
-"""Log evidence behind a choice from which a hypothesis has less than 1 % of its probability."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,15 @@ class Selection:
         exchanged = any(isinstance(h.change, Exchange) for h in sure)
         gross = exchanged or any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
-        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > AGREES)
+        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > FAMILY_LEVEL)
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Motions of stations beyond doubt, for an adjustment that is not made with all selected hypotheses."""
+        sure = [c.hypothesis.change for c in self.choices if c.gain > BEYOND_DOUBT]
+        effects = [change.effect for change in sure if isinstance(change, Shift)]
+        sudden = (SuddenMotion(e.stations, time=e.time) if isinstance(e, StationBump) else e for e in effects)
+        return tuple(motion for motion in sudden if isinstance(motion, Motion))
 
     @property
     def explains(self) -> bool:
@@ -118,7 +127,7 @@ class Selection:
         others = any(isinstance(change, Omission) for change in changes) or any(self.fit.problem.marks.names)
         doubtful = quieter or others or (_misfit(self.fit) and bool(self.fit.outliers.any()))
         sure = all(c.gain > BEYOND_DOUBT and c.hypothesis.kind != "unit" for c in self.choices)
-        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > AGREES
+        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
@@ -169,7 +178,9 @@ def _agrees(fit: Fit) -> bool:
         return True
     if len(fit.recording) < LARGE:
         return False
-    return fit.adjustment.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+    return (
+        fit.adjustment.p_value > FAMILY_LEVEL and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+    )
 
 
 def identified(
@@ -289,7 +300,7 @@ def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None, r
             choices.append(Choice(h, np.inf, ()))
             continue
         gain = fit.log_evidence - rest.log_evidence
-        tried = last[1] if last is not None and is_last else _fitted(rest, gain - ALTERNATIVE, h)
+        tried = last[1] if last is not None and is_last else _fitted(rest, gain + float(np.log(NOT_EXCLUDED)), h)
         others = [(other, made) for other, made in tried if other.place != h.place]
         if others and others[0][1].log_evidence > fit.log_evidence + least:
             return _judged_again(others[0][1], least, beginning, None, required)

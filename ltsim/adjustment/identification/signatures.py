@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
 from ltsim.geometry.rigid import pose_design
-from ltsim.physics.effects.signature import Parameter, Signature, on_readings
+from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, on_readings
 from ltsim.scene.sightings import Sightings
 
 
@@ -61,9 +61,10 @@ class ReadingShift(Signature):
         size = size * sightings.face_sign if self.observable == "elevation" else size
         return on_readings(sightings, **{self.observable: -size[:, None]})
 
-    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats] | None:
-        """Derivatives of a scale error: distances change by that share of their change."""
+    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+        """The change at a value; distances that have a scale error change by that share of their change."""
+        design = self.design(sightings)
         if not self.proportional:
-            return None
-        scaled = np.where(self.design(sightings) != 0.0, values[0] * sightings.by_target, 0.0)
-        return scaled, pose_design(scaled, sightings.arm)
+            return Linearisation(design @ values, design)
+        scaled = np.where(design != 0.0, values[0] * sightings.by_target, 0.0)
+        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.arm)))

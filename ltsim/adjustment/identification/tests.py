@@ -20,6 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.selection import LARGEST_GAIN, Choice, Selection
 from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.significance import NOT_EXCLUDED
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
@@ -85,8 +86,6 @@ class Test(Entry):
 
 MOST_OUTLIERS = 20
 """Outliers that have a test of their own; of more the largest."""
-NOT_EXCLUDED = 0.01
-"""Probability from which an alternative is listed."""
 SMR_SIZES = {12.7e-3: ("0.5 inch", "1.5 inch"), 7.94e-3: ("7/8 inch", "1.5 inch"), 4.76e-3: ("0.5 inch", "7/8 inch")}
 """[m] Differences of the radii of usual SMRs, with the smaller and the larger one."""
 PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}

@@ -22,7 +22,8 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
-from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace, orthonormal
+from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
+from ltsim.adjustment.significance import GLOBAL_LEVEL, UNCHECKED
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
@@ -30,8 +31,6 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 P = TypeVar("P")
 CONFUSABLE = 0.9
 """Share of a signature that another effect explains, from which on the two are called alike."""
-LEVEL = 0.05
-"""False-alarm rate of a whole search."""
 BATCH = 512
 """Rows projected at once."""
 MOST_PLACES = 150
@@ -45,7 +44,7 @@ def search_noncentrality(dof: int, places: int) -> float:
     It shares the false-alarm rate with all its places and shapes, and with all effects of the catalogue; what is not
     in the catalogue counts as one effect more.
     """
-    return noncentrality(dof, level=LEVEL, hypotheses=places * (len(CATALOGUE) - len(BASELINE) + 1))
+    return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=places * (len(CATALOGUE) - len(BASELINE) + 1))
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,7 @@ def examine(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectabili
             norm = np.linalg.norm(whole, axis=0)
             scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal(scaled, np.ones(len(norm)))
-            information, share, rank = visible_information(scaled.T @ scaled, norm, VISIBLE)
+            information, share, rank = visible_information(scaled.T @ scaled, norm, UNCHECKED)
             signatures.append((effect, information, float(share), int(rank), basis))
     return effect_detectability(signatures, len(places)) if signatures else None
 

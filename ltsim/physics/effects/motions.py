@@ -9,6 +9,7 @@ from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects.effect import Effect, by_displacement
+from ltsim.physics.effects.signature import Linearisation
 from ltsim.scene.sightings import Sightings
 
 
@@ -37,10 +38,11 @@ def _apparent(sightings: Sightings, motion: Floats) -> Sightings:
     return _displaced(sightings, apparent - sightings.arm)
 
 
-def _change_by_geometry(sightings: Sightings, apparent: Sightings) -> tuple[Floats, Floats]:
-    """Change of the derivatives by target (n, 3, 3) and station (n, 3, 6) where reflectors appear elsewhere."""
-    by_pose = pose_design(apparent.by_target, apparent.arm) - pose_design(sightings.by_target, sightings.arm)
-    return apparent.by_target - sightings.by_target, by_pose
+def _linearised(sightings: Sightings, apparent: Sightings, by_values: Floats) -> Linearisation:
+    """Change of the readings where reflectors appear elsewhere, with its derivatives."""
+    by_target = apparent.by_target - sightings.by_target
+    by_pose = station_design(apparent) - station_design(sightings)
+    return Linearisation(reading_change(sightings, apparent.local), by_values, (by_target, by_pose))
 
 
 def station_design(sightings: Sightings) -> Floats:
@@ -69,12 +71,10 @@ class TargetMotion(Effect):
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
-    def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
+    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         displacement = self.displacement(sightings)
-        return by_displacement(_displaced(sightings, displacement @ values), displacement)
-
-    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats]:
-        return _change_by_geometry(sightings, _displaced(sightings, self.displacement(sightings) @ values))
+        apparent = _displaced(sightings, displacement @ values)
+        return _linearised(sightings, apparent, by_displacement(apparent, displacement))
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,7 @@ class StationMotion(Effect):
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         return exact_station_change(sightings, self.motion(sightings) @ values)
 
-    def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
+    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         motion = self.motion(sightings)
-        return station_design(_apparent(sightings, motion @ values)) @ motion
-
-    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats]:
-        return _change_by_geometry(sightings, _apparent(sightings, self.motion(sightings) @ values))
+        apparent = _apparent(sightings, motion @ values)
+        return _linearised(sightings, apparent, station_design(apparent) @ motion)

@@ -10,7 +10,7 @@ Sign: a parameter is a correction, truth - reading; the change of a reading is t
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -97,6 +97,20 @@ class ShapeParameter:
         return max(low, min(self.low, value)), min(high, max(self.high, value))
 
 
+class Linearisation(NamedTuple):
+    """Change of the readings by a signature at some parameter values, and its derivatives there."""
+
+    shift: Floats
+    """Change (n, 3) of the raw readings."""
+    by_values: Floats
+    """Derivative (n, 3, p) by the parameters."""
+    by_geometry: tuple[Floats, Floats] | None = None
+    """Derivatives by the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
+
+    None where they are neglected, as for all changes that are small beside the distance.
+    """
+
+
 class Signature(Protocol):
     """A law of the readings, linear in its parameters."""
 
@@ -133,16 +147,9 @@ class Signature(Protocol):
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
         return self.design(sightings) @ values
 
-    def jacobian(self, sightings: Sightings, values: Floats) -> Floats:
-        """Derivative (n, 3, p) of `shift` by the parameters at values (p,) [SI]."""
-        return self.design(sightings)
-
-    def by_geometry(self, sightings: Sightings, values: Floats) -> tuple[Floats, Floats] | None:
-        """Derivatives of `shift` by the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
-
-        None where they are neglected, as for all changes that are small beside the distance.
-        """
-        return None
+    def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
+        """The change of the readings at parameter values (p,) [SI], with its derivatives."""
+        return Linearisation(self.shift(sightings, values), self.design(sightings))
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.

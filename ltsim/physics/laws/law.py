@@ -124,18 +124,29 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     @property
+    def is_in_the_hall(self) -> bool:
+        """True if it follows a region of the hall at all times."""
+        return self.driver.region is not None
+
+    def at_all_times(self) -> Law:
+        """The law of a region without its switch."""
+        first, *others = self.driver.factors or (self.driver,)
+        gated = first.region is not None and [f.kind for f in others] == ["switch"]
+        return replace(self, driver=first) if gated else self
+
+    @property
     def source_position(self) -> tuple[float, ...]:
         """Centre [m] of the region of the hall that it follows."""
-        return self.driver.region.centre if self.driver.region else ()
+        return self.driver.hall_region.centre if self.driver.hall_region else ()
 
     @property
     def hall_axes(self) -> str:
         """Axes of these coordinates."""
-        return self.driver.region.axes if self.driver.region else ""
+        return self.driver.hall_region.axes if self.driver.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> Law:
         """The law with its region elsewhere."""
-        region = self.driver.region
+        region = self.driver.hall_region
         return self if region is None else replace(self, driver=self.driver.through(replace(region, centre=centre)))
 
     def finer(self, sightings: Sightings) -> list[Law]:
@@ -147,9 +158,9 @@ class Law(Tunable):
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
         if (driver.kind == "pieces" and len(driver.factors) <= MOVED) or driver.kind == "switch":
             return self._with_moved_pieces(sightings)
-        if driver.region is not None:
-            near = driver.kind == "near"
-            moved = [r for r in driver.region.neighbours() if not near or is_near_several(r, sightings)]
+        if driver.hall_region is not None:
+            near = any(f.kind == "near" for f in (driver, *driver.factors))
+            moved = [r for r in driver.hall_region.neighbours() if not near or is_near_several(r, sightings)]
             return [replace(self, driver=driver.through(region)) for region in moved]
         if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
@@ -222,9 +233,11 @@ class Law(Tunable):
         return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def in_pieces(self, steps: Sequence[Regressor]) -> Law:
-        """The law with steps and ramps in the place of its smooth driver."""
+        """The law with steps and ramps in the place of its smooth driver; one of a region is multiplied by them."""
         made, driver = pieces(steps), self.driver
-        if driver.kind == "product":
+        if driver.region is not None:
+            made = Regressor("product", factors=(driver, made))
+        elif driver.kind == "product":
             made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
         return replace(self, driver=made, scale=0)
 
@@ -232,16 +245,19 @@ class Law(Tunable):
         return self.switched(steps) if self.driver.kind == "switch" else self.in_pieces(steps)
 
     def edges(self, sightings: Sightings) -> list[Regressor]:
-        """Times at which something may be switched, where the law follows the clock alone."""
-        if self.driver.covariates != ("time",) or self.driver.kind not in ("smooth", "wave"):
+        """Times at which a law may be switched that follows the clock alone or a region of the hall."""
+        follows_clock = self.driver.covariates == ("time",) and self.driver.kind in ("smooth", "wave")
+        if not follows_clock and not self.is_in_the_hall:
             return []
         x = np.unique(sightings.time[self.mask(sightings) > 0])
         x = x[np.unique(np.linspace(0, len(x) - 1, SWITCHED).round().astype(int))]
         return [simple("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def switched(self, edges: Sequence[Regressor]) -> Law:
-        """The law with a switch in the place of its driver."""
-        return replace(self, driver=switch(edges), scale=0)
+        """The law with a switch in the place of its driver; one of a region acts while the switch is on."""
+        gate = switch(edges)
+        driver = gate if not self.is_in_the_hall else Regressor("product", factors=(self.driver, gate))
+        return replace(self, driver=driver, scale=0)
 
     def as_constant(self, sightings: Sightings) -> Law:
         """The vertical index in place of an elevation that errs as one.

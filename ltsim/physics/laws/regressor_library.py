@@ -28,9 +28,10 @@ from ltsim.physics.laws.regressors import (
     pieces,
     simple,
     smooth,
+    switch,
 )
 from ltsim.physics.laws.states import FADES, INPUTS, latches_of, states_of
-from ltsim.scene.regions import Region, regions_of
+from ltsim.scene.regions import Region, is_distinctive, regions_of
 from ltsim.scene.sightings import Sightings
 
 POINTED = ("azimuth", "elevation", "distance")
@@ -72,10 +73,16 @@ LEAST_NEAR = 2.5
 """Smallest effective number of targets near a place."""
 PLACES_NEAR = ("xyz", "xy")
 """Shapes of the regions near which a target may be."""
+STANDING = ("xy", "x", "y")
+"""Shapes of the regions in which something may stand for a time."""
+STAYS, LEAST_TIMES = (2, 4), 12
+"""Numbers of equal parts of the work, of which something may stand for one; smallest number of times of readings."""
 DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
 HALF_LOOPS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hystereses over a covariate's span."""
+SHORT_MOVES = (0.15, 0.3, 0.5)
+"""Limits of dead bands, as quantiles of the moves' sizes."""
 MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
 """[s] Lags that are tried: of detectors, of parts of an instrument, of stands, of walls and floors."""
 FEW_VISITS, MOST_VISITS, MOST_AMOUNTS = 3, 12, 60
@@ -105,6 +112,8 @@ DEPTHS = {
     "shape": 1,
     "passage": 1,
     "lever": 1,
+    "passage for a time": 2,
+    "lever for a time": 2,
     "near": 1,
     "latch": 1,
     "state": 2,
@@ -154,9 +163,14 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
         "amounts": [*_each_visit(s, FEW_VISITS + 1), *_each_before(s)],
         "wave": list(waves(s)),
         "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_drivers(s), 2)],
-        "shape": [simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS],
+        "shape": [
+            *(simple(n, "hysteresis", float(k)) for n in turning for k in np.ptp(s.quantities[n]) * HALF_LOOPS),
+            *dead_bands(s),
+        ],
         "passage": [passage(region) for region in regions_of(s)],
         "lever": [passage(region, LEVER) for region in regions_of(s)],
+        "passage for a time": list(for_a_time(s)),
+        "lever for a time": list(for_a_time(s, LEVER)),
         "near": [near(region) for region in regions_of(s, PLACES_NEAR) if is_near_several(region, s)],
         "state": [memory(*made) for made in states_of(s, _varying(s, INPUTS))],
         "latch": [latch(*made) for made in latches_of(s, _varying(s, (*POINTED, *columns)))],
@@ -164,9 +178,36 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
     }
 
 
+def dead_bands(sightings: Sightings) -> list[Regressor]:
+    """Drivers that act at short moves of an axis alone: what a drive or a contact does not follow."""
+    return [
+        simple(name, how, float(k))
+        for name in _varying(sightings, ("move-azimuth", "move-elevation"))
+        for k in np.unique(np.quantile(np.abs(sightings.quantities[name]), SHORT_MOVES))
+        for how in ("within", "stuck")
+        if k > ROUNDING
+    ]
+
+
 def is_near_several(region: Region, sightings: Sightings) -> bool:
     """True if several targets are in a region: one alone is an error of that target."""
     return region.targets_within(sightings) > LEAST_NEAR
+
+
+def for_a_time(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
+    """Drivers of regions of the hall that something stands in for a time."""
+    time, regions = np.unique(sightings.time), regions_of(sightings, STANDING)
+    if len(time) < LEAST_TIMES or not regions:
+        return
+    passing = np.stack([region.path(sightings) > region.width for region in regions])
+    for parts in STAYS:
+        at = np.linspace(0, len(time) - 1, parts + 1).round().astype(int)
+        ends = [*(0.5 * (time[at[1:-1]] + time[at[1:-1] - 1])).tolist(), np.inf]
+        for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
+            gate = switch([simple("time", "step", edge) for edge in (begin, end) if edge < np.inf])
+            during = (sightings.time > begin) & (sightings.time <= end)
+            for i in np.flatnonzero(is_distinctive(passing & during, sightings)):
+                yield Regressor("product", factors=(passage(regions[i], function), gate))
 
 
 def local_drivers(sightings: Sightings) -> list[Regressor]:

@@ -187,7 +187,7 @@ class Regressor:
             elif factor.kind == "smooth":
                 part = np.hstack([np.ones((len(part), 1)), part])
             product = (product[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
-        return product
+        return unit_rms(product) if self.hall_region and product.shape[1] == 1 else product
 
     @property
     def is_per_instrument(self) -> bool:
@@ -218,8 +218,16 @@ class Regressor:
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
+    @property
+    def hall_region(self) -> Region | None:
+        """Region of the hall that it, or one of its factors, follows."""
+        return next((f.region for f in (self, *self.factors) if f.region is not None), None)
+
     def through(self, region: Region) -> Regressor:
         """The driver with another region."""
+        if self.region is None:
+            factors = tuple(f.through(region) if f.region is not None else f for f in self.factors)
+            return replace(self, factors=factors)
         return replace(self, region=region, covariates=tuple(region.axes))
 
     def centred_on(self, targets: tuple[str, ...]) -> Regressor:

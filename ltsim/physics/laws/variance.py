@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import NoiseSignature, Parameter
-from ltsim.physics.laws.columns import MEMORY
+from ltsim.physics.laws.columns import CIRCULAR, MEMORY
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
@@ -28,13 +28,20 @@ def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
     return tuple(sightings.target_names), sightings.target
 
 
+def size_or_value(sightings: Sightings, name: str) -> Floats:
+    """Covariate (n,) that noise depends on: of moves and other memories their size."""
+    values: Floats = sightings.quantities[name]
+    return np.abs(values) if name.startswith(MEMORY) else values
+
+
 @dataclass(frozen=True)
 class VarianceFunction(NoiseSignature):
     """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
     the names of all targets, stations or readings, has a value of its own; one for each observable where
-    `per_observable`. In a `region` of the hall the pattern is the length of the line of sight in it.
+    `per_observable`. In a `region` of the hall the pattern is the length of the line of sight in it. With a `band` the
+    pattern is 1 from its first to its second value of the covariate, round the circle for directions, and 0 elsewhere.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -48,6 +55,7 @@ class VarianceFunction(NoiseSignature):
     owners: tuple[str, ...] = ()
     per_observable: bool = False
     region: Region | None = None
+    band: tuple[float, ...] = ()
 
     name = "unknown"
 
@@ -88,6 +96,8 @@ class VarianceFunction(NoiseSignature):
             )
         if not self.covariates:
             return "larger noise"
+        if self.band:
+            return f"larger noise in a band of {self.covariates[0]}"
         return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
@@ -104,11 +114,21 @@ class VarianceFunction(NoiseSignature):
             share = path / max(float(path.max(initial=0.0)), 1e-12)
             pattern = pattern * np.where(share > LEAST_PATH, share, 0.0)
             return self._grown(sigma, values[0] * pattern)
+        if self.band:
+            return self._grown(sigma, values[0] * pattern * self._inside(sightings))
         for name in self.covariates:
-            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
+            x = size_or_value(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         return self._grown(sigma, values[0] * pattern)
+
+    def _inside(self, sightings: Sightings) -> Bools:
+        """Pointings (n,) within the band of the covariate."""
+        (low, high), name = self.band, self.covariates[0]
+        x = size_or_value(sightings, name)
+        if name in CIRCULAR:
+            return np.asarray(np.remainder(x - low, 2.0 * np.pi) <= high - low)
+        return np.asarray((x >= low) & (x <= high))
 
     def _grown(self, sigma: Floats, added: Floats) -> Floats:
         """Variance (n, 3) with an added share (n,) in its observables."""

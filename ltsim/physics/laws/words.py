@@ -102,6 +102,8 @@ AT_EACH_SET_UP = ", in its own way at each set-up"
 AT_EACH = ", another at each instrument"
 """Said after the other factor of a product that each instrument has of its own."""
 SWITCH = "a switch of {x}, on from {spans}"
+START = "the start"
+"""Said for the start of a span that began before the first pointing."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
@@ -154,9 +156,11 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
 
 
 def _switch_words(driver: Regressor, *, clock: bool) -> str:
-    """A switch in words: the spans in which it is on; the last one may have no end."""
+    """A switch in words: the spans in which it is on; the first may have no start and the last no end."""
     name = driver.covariates[0]
     values = [value_of(name, factor.constant, clock=clock) for factor in driver.factors]
+    if driver.factors[0].constant == -np.inf:
+        values[0] = START
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
     return SWITCH.format(x=name, spans=", ".join(spans))
 
@@ -263,9 +267,12 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
 
 def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
     """The switch that some words describe; raises ModelError."""
-    name, edges = match["x"], []
+    name, edges = match["x"], list[Regressor]()
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
+        if text == START and not edges:
+            edges.append(simple(name, "step", -np.inf))
+            continue
         value = re.fullmatch(_GROUPS["value"], text)
         if value is None or name not in CLOCKS:
             raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-1]}'")

@@ -283,11 +283,11 @@ class MeasurementModel:
         by_pose = pose_design(by_target, sightings.arm)
         by_extra = np.zeros((len(sightings), 3, 0))
         if self.extra_effects:
-            raw = raw + self.extra_shift(sightings, state.extra)
-            effects = list(zip(self.extra_effects, self._split(state.extra), strict=True))
-            by_extra = np.concatenate([effect.jacobian(sightings, values) for effect, values in effects], axis=2)
-            changes = (effect.by_geometry(sightings, values) for effect, values in effects if values.any())
-            for further in (change for change in changes if change is not None):
+            extra = zip(self.extra_effects, self._split(state.extra), strict=True)
+            parts = [effect.linearised(sightings, values) for effect, values in extra]
+            raw = raw + np.sum([part.shift for part in parts], axis=0)
+            by_extra = np.concatenate([part.by_values for part in parts], axis=2)
+            for further in (part.by_geometry for part in parts if part.by_geometry is not None):
                 by_target, by_pose = by_target + further[0], by_pose + further[1]
         derivatives = by_pose, by_target, by_instrument, by_extra
         if self._horizontal is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.adjustment.fieldcheck.result import Check
+from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS, EventEntry
 from ltsim.calibration.history import History
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Named = TypeVar("Named", ChangeEntry, EventEntry)
-LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
+LIKELY, NOTHING = 0.5, 1e-6
 UNITED = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
@@ -195,7 +196,7 @@ def history_section(content: History, _: ReportContext) -> Section:
     labels = content.labels
     content = _with_short_labels(content)
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
-    changed = bool(content.events) if usual else since.p_value < LEVEL
+    changed = bool(content.events) if usual else since.p_value < FAMILY_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined)
     course = [Picture("Course of the parameters", figure, text)] if content.determined else []
@@ -204,7 +205,7 @@ def history_section(content: History, _: ReportContext) -> Section:
     note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
     scaled = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
     changes = content.table("changes")
-    marked = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < LEVEL)
+    marked = frozenset(i for i, p in enumerate(changes.column("p_value")) if p < FAMILY_LEVEL)
     blocks: list[Block] = [
         *table_block("Changes between calibrations", changes, note=note, marked=marked),
         *course,
@@ -247,8 +248,8 @@ def _course_words(content: History, usual: bool) -> str:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         names = listing(list(dict.fromkeys(e.name for e in events)))
         return f"had an event (such as a service or a blow) {steps}, in {names}."
-    if since.p_value >= LEVEL:
-        between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < LEVEL]
+    if since.p_value >= FAMILY_LEVEL:
+        between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < FAMILY_LEVEL]
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )

@@ -11,10 +11,9 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.fieldcheck.check import LEVEL
-from ltsim.adjustment.fieldcheck.network import RARE
 from ltsim.adjustment.fieldcheck.occupation import face_pairs
 from ltsim.adjustment.quality import warnings_of
+from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import stream
@@ -130,9 +129,11 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     if lt.adjust(noisy, robust=True).adjustment.rejected.any():
         assert "contradicts the other stations" in item.sentence
         return
-    assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= LEVEL / 4)
+    assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_LEVEL / 4)
     assert f"sigma0 {adjusted.sigma0:.2f} " in item.sentence
-    assert ("as noise brings it in one network of" in item.sentence) == (item.passed and adjusted.p_value < RARE / 2)
+    assert ("as noise brings it in one network of" in item.sentence) == (
+        item.passed and adjusted.p_value < GLOBAL_LEVEL / 2
+    )
 
 
 def along_axes(recording: Recording, points: Points, away: float, stations: tuple[int, ...]) -> Recording:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.adjustment.identification.local_shifts import AT_ONCE, STEPS, TRIMMED, LocalShift, fitted_shifts
+from ltsim.adjustment.identification.local_shifts import STEPS, TRIMMED, LocalShift, fitted_shifts
+from ltsim.core.arrays import AT_ONCE
 from ltsim.core.randomness import stream
 
 PRICE = 8.0

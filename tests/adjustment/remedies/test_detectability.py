@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.adjustment.reliability import POWER, noncentrality, single_level
+from ltsim.adjustment.reliability import noncentrality, single_level
 from ltsim.adjustment.remedies.detectability import (
-    LEVEL,
     detectability,
     examine,
     explained_fraction,
     search_noncentrality,
 )
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import GLOBAL_LEVEL, POWER
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.head_sag import HeadSag
@@ -29,7 +29,7 @@ from tests.planning.fixtures import survey
 INFORMATION = LayoutInformation.of(survey())
 SPACE = ResidualSpace.of(INFORMATION.adjustment)
 
-SINGLE = single_level(len(CATALOGUE) - len(BASELINE) + 1, LEVEL)
+SINGLE = single_level(len(CATALOGUE) - len(BASELINE) + 1, GLOBAL_LEVEL)
 """Level of one effect at one place in a search."""
 
 

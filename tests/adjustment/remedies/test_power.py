@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import LEVEL, examine, thinned
+from ltsim.adjustment.remedies.detectability import examine, thinned
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import GLOBAL_LEVEL
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
@@ -68,7 +69,7 @@ class Search:
             )
             scored = Searcher(self.space, 0).first.null
         statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
-        return float(np.mean(statistic > self.detection.threshold(LEVEL)))
+        return float(np.mean(statistic > self.detection.threshold(GLOBAL_LEVEL)))
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_ofte
 
 
 def test_nothing_is_found_where_there_is_nothing(search: Search) -> None:
-    assert search.share_found(np.zeros(search.space.size), 300) == pytest.approx(LEVEL, abs=0.04)
+    assert search.share_found(np.zeros(search.space.size), 300) == pytest.approx(GLOBAL_LEVEL, abs=0.04)
 
 
 @pytest.mark.long

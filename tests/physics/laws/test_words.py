@@ -82,6 +82,11 @@ def every() -> list[Regressor]:
     found += [
         switch([simple("time", "step", edge) for edge in times]) for times in ((300.0, 900.0), (300.0, 900.0, 1500.0))
     ]
+    column, start = passage(Region("xy", (1.0, 2.0), 0.3)), simple("time", "step", -np.inf)
+    found += [
+        Regressor("product", factors=(column, switch([start, simple("time", "step", 600.0)]))),
+        Regressor("product", factors=(column, switch([simple("time", "step", edge) for edge in (300.0, 900.0)]))),
+    ]
     found.append(Regressor("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
     return [*found, Regressor("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 

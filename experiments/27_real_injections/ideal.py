@@ -1,0 +1,175 @@
+"""The ideal observer of the injections: Bayes over the list of causes, their places and shapes, in linearised networks.
+
+It knows the kinds that are injected, equally likely, and the adjustment of the recording; not which cause, where, what
+shape and size. Residuals are Gaussian with the covariance of the adjustment and the noise that the readings have.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from scipy.special import logsumexp
+
+from experiments.common import Row
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import UNCHECKED
+from ltsim.calibration.verbs import requested_effect
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError
+from ltsim.geometry.polar import wrap
+from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects.effect import Mistake, NoiseEffect
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.model.construction import declared_construction
+
+from .injections import background, injection, placed, unit_of
+
+STRENGTHS = np.geomspace(10.0, 3000.0, 16)
+"""Expected noncentralities, equally likely: the observer does not know which one was injected."""
+LOG_ODDS_NONE = 0.0
+"""Log prior odds of no cause against any."""
+STRENGTH = 100.0
+"""Noncentrality of the injections."""
+CARDS = tuple(
+    kind.name
+    for kind in CATALOGUE
+    if not issubclass(kind, NoiseEffect | Mistake) and kind.name not in {effect.name for effect in BASELINE}
+)
+"""Effects of the catalogue that change readings and that the ordinary calibration does not estimate."""
+MOST_BACKGROUND = 5
+"""Causes of the list in a recording as it is."""
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A cause at one place and of one shape, and its kind in the words of the plan."""
+
+    kind: str
+    cause: Tunable
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What the observer has to tell: kind, stations, targets and instruments."""
+        cause = self.cause
+        return self.kind, tuple(cause.stations), tuple(cause.targets), tuple(getattr(cause, "instruments", ()))
+
+
+@dataclass(frozen=True)
+class Observer:
+    """The list of causes in the residual space of a recording."""
+
+    space: ResidualSpace
+    instances: Sequence[Instance]
+
+    @classmethod
+    def of(cls, space: ResidualSpace, kinds: Sequence[str], unit: str) -> "Observer":
+        """The observer of a recording, told kinds of causes."""
+        recording, found = space.adjustment.recording, list[Instance]()
+        for kind in dict.fromkeys(kinds):
+            texts = [kind.format(station=s, unit=unit) for s in recording.stations] if "{station}" in kind else [kind]
+            for text in texts:
+                causes = requested_effect(text, recording).candidates(space.adjustment)
+                found += [Instance(kind, cause) for cause in causes]
+        return cls(space, found)
+
+    @cached_property
+    def _projected(self) -> list[tuple[Floats, Floats]]:
+        """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
+        found = []
+        for instance in self.instances:
+            rows = self.space.signature(instance.cause) * instance.cause.spread
+            projected = self.space.project(rows)
+            values, vectors = np.linalg.eigh(projected.T @ projected)
+            visible = values > UNCHECKED * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
+            found.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
+        return found
+
+    @cached_property
+    def log_prior(self) -> Floats:
+        """Log prior probabilities (h,): kinds are equally likely, and in each its visible places and shapes."""
+        kinds = [i.kind if len(values) else "" for i, (_, values) in zip(self.instances, self._projected, strict=True)]
+        names = sorted(set(kinds) - {""})
+        count = {name: kinds.count(name) for name in names}
+        return np.array([-np.log(len(names) * count[kind]) if kind else -np.inf for kind in kinds])
+
+    def log_evidence(self, residuals: Floats) -> Floats:
+        """Log marginal likelihood ratios (h, r) of the instances against no cause, given residuals (m, r)."""
+        found = np.zeros((len(self.instances), residuals.shape[1]))
+        for one, (rows, values) in zip(found, self._projected, strict=True):
+            if not len(values):
+                continue
+            scores = (rows.T @ residuals) ** 2
+            gain = STRENGTHS[:, None] / values.sum() * values
+            logs = 0.5 * (gain / (1.0 + gain) / values) @ scores - 0.5 * np.log1p(gain).sum(axis=1)[:, None]
+            one[:] = logsumexp(logs, axis=0) - np.log(len(STRENGTHS))
+        return found
+
+    def with_background(self) -> "Observer":
+        """The observer that has found the causes of the list in the recording as it is, and estimates them too."""
+        observer = self
+        for _ in range(MOST_BACKGROUND):
+            opinion = observer.opinion(observer.space.residual)
+            if opinion is None:
+                break
+            observer = Observer(observer.space.with_effects([opinion.cause]), self.instances)
+        return observer
+
+    def opinion(self, residual: Floats) -> Instance | None:
+        """Likeliest kind and place given a residual (m,), by its likeliest shape; None where no cause is likelier."""
+        logs = self.log_evidence(residual[:, None])[:, 0] + self.log_prior
+        if logsumexp(logs) < LOG_ODDS_NONE:
+            return None
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for number, instance in enumerate(self.instances):
+            groups.setdefault(instance.key, []).append(number)
+        best = max(groups.values(), key=lambda members: float(logsumexp(logs[members])))
+        return self.instances[max(best, key=lambda member: float(logs[member]))]
+
+
+def asked(network: Row, settings: Row) -> list[Row]:
+    """Placed and named by the observer, of each injection of strength 100 into a network.
+
+    With `simulated` residuals; with those of the recording as they are (`own`), where the observer estimates what of
+    the list they hold; and with these and all effects of the catalogue on the list (`catalogue`).
+    """
+    _, weighted, _ = background(network["file"], network.get("clockwise", False), told_noise=False)
+    space = ResidualSpace.of(adjust(weighted, declared_construction(weighted)))
+    kinds, unit = settings["kinds"], unit_of(weighted)
+    simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CARDS, *kinds], unit)
+    observers = {"simulated": simulated, "own": simulated.with_background(), "catalogue": catalogue.with_background()}
+    rows = []
+    for trial, kind in product(range(settings["trials"]), settings["kinds"]):
+        row: Row = {"site": network["site"], "file": network["file"], "kind": kind, "trial": trial}
+        try:
+            made, truth = injection(network, kind, STRENGTH, trial, settings["seed"])
+        except ModelError:
+            continue
+        change = np.nan_to_num(made.readings - weighted.readings)
+        change[:, 1:] = wrap(change[:, 1:])
+        signal = space.project(space.whiten(change[:, :, None])[:, 0])
+        noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.size)
+        for name, observer in observers.items():
+            residual = signal + (space.project(noise) if name == "simulated" else space.residual)
+            opinion = observer.opinion(residual)
+            is_placed = opinion is not None and placed(truth.causes[0].cause, opinion.cause, weighted)
+            row |= {f"{name}_placed": is_placed, f"{name}_named": is_placed and opinion.kind == kind}
+        rows.append(row)
+    return rows
+
+
+def table_of(rows: Sequence[Row], ltsim: Sequence[Row]) -> list[Row]:
+    """Injections placed, and placed and named, by ltsim and by the observer: all, by network, by kind."""
+    of_ltsim = {(r["file"], r["kind"], r["trial"]): r for r in ltsim if not r["hidden"]}
+    found = []
+    groups = [(column, name) for column in ("site", "kind") for name in dict.fromkeys(r[column] for r in rows)]
+    for column, name in [("all", "all"), *groups]:
+        some = [r for r in rows if column == "all" or r[column] == name]
+        pairs = [of_ltsim[r["file"], r["kind"], r["trial"]] for r in some]
+        counts = {"ltsim_placed": [p["placed"] for p in pairs], "ltsim_named": [p["right"] for p in pairs]}
+        counts |= {c: [r[c] for r in some] for c in rows[0] if c.endswith(("_placed", "_named"))}
+        row: Row = {"by": column, "of": name, "injections": len(some)}
+        found.append(row | {c: sum(map(bool, hits)) for c, hits in counts.items()})
+    return found

@@ -1,0 +1,212 @@
+"""Adjustment with data snooping (Baarda 1968), started at the true coordinates, and GNU Gama of levelled readings."""
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from defusedxml import ElementTree
+from scipy.linalg import qr
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+
+import ltsim as lt
+from ltsim.geometry.rotations import about_z
+from ltsim.recordings.setup import Station
+
+from .hall import Array, Hall, Observations, name_of, polar
+
+GAMA = "gama-local"
+LEVEL = 0.05
+"""False alarm rate of data snooping in one recording, divided among all observations (Baarda 1968)."""
+LEAST_REDUNDANCY = 1e-6
+"""Redundancy of an observation below which its residual is rounding."""
+MOST = 0.5
+"""Share of the observations that snooping may reject."""
+STEPS, LEAST_STEP = 30, 1e-9
+"""Iterations of Gauss and Newton, and the step [m, rad] that ends them."""
+LIMIT_S = 120.0
+
+
+@dataclass(frozen=True)
+class Network:
+    """Poses and targets of an adjustment, linearised there; unknowns are positions, rotations, targets."""
+
+    observations: Observations
+    position: Array
+    rotation: Array
+    points: Array
+
+    @classmethod
+    def at_truth(cls, observations: Observations) -> "Network":
+        """The network at the true poses and targets."""
+        hall = observations.hall
+        return cls(observations, hall.position, hall.rotation, hall.points)
+
+    def misclosure(self) -> Array:
+        """Observed minus computed in standard deviations (m,): pointings, control points, length."""
+        o, s = self.observations, self.observations.hall.station
+        gap = o.readings - polar(self.rotation[s], self.position[s], self.points[o.target])
+        gap[:, 1] = (gap[:, 1] + np.pi) % (2 * np.pi) - np.pi
+        known, noise = np.array(list(o.control)), o.hall.noise
+        control = (np.array(list(o.control.values())) - self.points[known]) / (1e-3 * noise["control_mm"])
+        length = o.length - np.linalg.norm(np.subtract(*self.points[o.hall.bar]))
+        return np.concatenate([(gap / o.sigma).ravel(), control.ravel(), [length / (1e-3 * noise["length_mm"])]])
+
+    def design(self) -> Array:
+        """Derivatives of the observations in standard deviations by the unknowns (m, u)."""
+        o, n, stations = self.observations, len(self.observations.readings), len(self.position)
+        station, target = o.hall.station, o.target
+        x = np.einsum("nij,nj->ni", self.rotation[station], self.points[target] - self.position[station])
+        d, h = np.linalg.norm(x, axis=1), np.hypot(x[:, 0], x[:, 1])
+        zero = np.zeros(n)
+        across = np.column_stack([-x[:, 1], x[:, 0], zero]) / h[:, None] ** 2
+        up = np.column_stack([-x[:, 0] * x[:, 2], -x[:, 1] * x[:, 2], h**2]) / (d**2 * h)[:, None]
+        by_x = np.stack([x / d[:, None], across, up], 1)
+        by_x /= o.sigma[:, :, None]
+        by_point = by_x @ self.rotation[station]
+        cross = np.stack([np.column_stack([zero, x[:, 2], -x[:, 1]]), np.column_stack([-x[:, 2], zero, x[:, 0]]),
+                          np.column_stack([x[:, 1], -x[:, 0], zero])], 1)  # fmt: skip
+        width = 6 * stations + 3 * len(self.points)
+        rows, at = np.zeros((n, 3, width)), np.arange(n)[:, None]
+        for first, block in ((3 * station, -by_point), (3 * (stations + station), by_x @ cross),
+                             (6 * stations + 3 * target, by_point)):  # fmt: skip
+            rows[at, :, first[:, None] + np.arange(3)] = np.swapaxes(block, 1, 2)
+        known = np.zeros((3 * len(o.control) + 1, width))
+        for row, k in enumerate(o.control):
+            for axis in range(3):
+                known[3 * row + axis, 6 * stations + 3 * k + axis] = 1.0 / (1e-3 * o.hall.noise["control_mm"])
+        a, b = o.hall.bar
+        along = (self.points[a] - self.points[b]) / np.linalg.norm(self.points[a] - self.points[b])
+        for k, sign in ((a, 1.0), (b, -1.0)):
+            begin = 6 * stations + 3 * k
+            known[-1, begin : begin + 3] = sign * along / (1e-3 * o.hall.noise["length_mm"])
+        return np.concatenate([rows.reshape(3 * n, width), known])
+
+    def moved(self, step: Array) -> "Network":
+        """The network after a step of the unknowns (u,)."""
+        count = 3 * len(self.position)
+        turn = Rotation.from_rotvec(step[count : 2 * count].reshape(-1, 3)).as_matrix()
+        return Network(self.observations, self.position + step[:count].reshape(-1, 3), turn @ self.rotation,
+                       self.points + step[2 * count :].reshape(-1, 3))  # fmt: skip
+
+    def adjusted(self, use: Array) -> "Network":
+        """Least squares of the observations in use (m,)."""
+        network = self
+        for _ in range(STEPS):
+            step = np.linalg.lstsq(network.design()[use], network.misclosure()[use], rcond=1e-13)[0]
+            network = network.moved(step)
+            if np.abs(step).max() < LEAST_STEP:
+                break
+        return network
+
+    def standardised(self, use: Array) -> Array:
+        """Standardised residuals (m,), 0 for observations that are rejected or not checked by others."""
+        design = self.design()[use]
+        basis = qr(design / np.linalg.norm(design, axis=0), mode="economic")[0]
+        redundancy = 1.0 - (basis**2).sum(axis=1)
+        values, checked = np.zeros(len(use)), redundancy > LEAST_REDUNDANCY
+        values[np.flatnonzero(use)[checked]] = self.misclosure()[use][checked] / np.sqrt(redundancy[checked])
+        return values
+
+
+def noncentrality(hall: Hall, change: Observations) -> float:
+    """Increase of the expected chi-square by a small change of the noise-free observations, linearised at the truth."""
+    exact = Network.at_truth(Observations.of(hall, noisy=False))
+    basis = qr(exact.design(), mode="economic")[0]
+    signal = Network.at_truth(change).misclosure()
+    return float(signal @ signal - ((basis.T @ signal) ** 2).sum())
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Coordinates (T, 3) of targets [m], and stations and targets of the first observation that is rejected."""
+
+    points: Array
+    stations: set[str]
+    targets: set[str]
+
+
+def snooping(observations: Observations) -> Answer:
+    """Adjustment with iterated data snooping: the largest standardised residual is rejected until none is too large."""
+    network, rejected = Network.at_truth(observations), list[int]()
+    use = np.ones(len(network.misclosure()), dtype=bool)
+    critical = critical_value(len(use))
+    while True:
+        network = network.adjusted(use)
+        size = np.abs(network.standardised(use))
+        worst = int(np.argmax(size))
+        if size[worst] < critical or len(rejected) >= MOST * len(use):
+            break
+        rejected.append(worst)
+        use[worst] = False
+    return Answer(network.points, *place_of(observations, rejected[:1]))
+
+
+def critical_value(count: int) -> float:
+    """Limit of a standardised residual among `count` observations."""
+    return float(norm.isf(0.5 * LEVEL / count))
+
+
+def place_of(observations: Observations, rows: Sequence[int]) -> tuple[set[str], set[str]]:
+    """Stations and targets of observations."""
+    hall, readings, control = observations.hall, observations.readings.size, list(observations.control)
+    stations, targets = set[str](), set[str]()
+    for row in rows:
+        if row < readings:
+            stations.add(f"S{hall.station[row // 3] + 1}")
+            targets.add(name_of(observations.target[row // 3]))
+        elif row - readings < 3 * len(control):
+            targets.add(name_of(control[(row - readings) // 3]))
+        else:
+            targets |= {name_of(k) for k in hall.bar}
+    return stations, targets
+
+
+def levelled(observations: Observations) -> Observations:
+    """The observations as set-ups without tilt would have read them, on one face."""
+    hall = observations.hall
+    upright = np.array([about_z(np.arctan2(r[0, 1], r[0, 0])) for r in hall.rotation])
+    d, az, el = observations.readings.T
+    local = np.column_stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)]) * d[:, None]
+    turn = (upright @ np.swapaxes(hall.rotation, 1, 2))[hall.station]
+    readings = polar(turn, np.zeros(3), local)
+    return replace(observations, hall=replace(hall, rotation=upright, face=np.ones_like(hall.face)), readings=readings)
+
+
+def gama_file(observations: Observations, folder: Path) -> Path:
+    """The levelled observations in the format of GNU Gama."""
+    recording = lt.read(levelled(observations).write(folder))
+    setup = recording.setup
+    stations = {name: Station(levelled=True) for name in recording.stations}
+    file = folder / "network.gkf"
+    lt.write(recording.replace(setup=setup.model_copy(update={"stations": stations})), file, format="gama-local")
+    return file
+
+
+def gama(observations: Observations, folder: Path) -> Answer:
+    """GNU Gama's adjustment, by Cholesky; it rejects nothing and lists residuals, of which the largest is taken."""
+    file, result = gama_file(observations, folder), folder / "adjusted.xml"
+    words = [GAMA, str(file), "--algorithm", "cholesky", "--xml", str(result), "--cov-band", "0"]
+    subprocess.run(words, check=True, timeout=LIMIT_S, capture_output=True)
+    return gama_answer(ElementTree.parse(result).getroot(), len(observations.hall.points))
+
+
+def gama_answer(root: Element, count: int) -> Answer:
+    """Coordinates of targets K01 to K`count`, and the observation with the largest standardised residual."""
+    adjusted = {p[0].text: [float(c.text or "nan") for c in p[1:]] for p in root.iterfind(".//{*}adjusted/{*}point")}
+    points = np.array([adjusted.get(name_of(k), [np.nan] * 3) for k in range(count)])
+    residuals = [(abs(float(o.findtext("{*}std-residual") or "0")), {o.findtext("{*}from"), o.findtext("{*}to")})
+                 for o in root.iterfind(".//{*}observations/*")]  # fmt: skip
+    size, ends = max(residuals, key=lambda entry: entry[0])
+    names = {str(name) for name in ends - {None}} if size > critical_value(len(residuals)) else set()
+    stations = {name for name in names if name.startswith("S")}
+    return Answer(points, stations, names - stations)
+
+
+def is_installed() -> bool:
+    """True if GNU Gama's program is on the PATH."""
+    return shutil.which(GAMA) is not None

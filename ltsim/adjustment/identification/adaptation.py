@@ -1,0 +1,64 @@
+"""Adaptation: a recording adjusted with the simple causes that were identified in it.
+
+References
+----------
+Teunissen, Testing theory (2006): adaptation follows detection and identification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.estimate import adjust
+from ltsim.adjustment.identification.fit import Fit, changed_recording
+from ltsim.adjustment.identification.hypothesis import Hypothesis, Shift
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
+
+
+def adapted(
+    fit: Fit,
+    recording: Recording,
+    construction: Construction,
+    hypotheses: Sequence[Hypothesis],
+    *,
+    effects: Sequence[Signature] = (),
+    subtracted: bool = False,
+    **how: Any,
+) -> Adjustment:
+    """Adjustment of a recording with hypotheses of a fit in its model, from the state of the fit.
+
+    Parameters
+    ----------
+    fit : Fit
+    recording : Recording
+        As it was read.
+    construction : Construction
+    hypotheses : sequence of Hypothesis
+        Of the fit, all of its shifts or none.
+    effects : sequence of Signature
+        Further effects to estimate; they come first.
+    subtracted : bool
+        Subtract the estimated shifts from the readings. They are estimated with the network in any case: from zero
+        then, and from their estimates otherwise.
+    **how
+        Further options of `adjust`.
+    """
+    changed, shifts, values = changed_recording(recording, hypotheses), tuple[Signature, ...](), np.zeros(0)
+    if any(isinstance(h.change, Shift) for h in hypotheses):
+        shifts, values = fit.effects, fit.state.extra
+        if subtracted:
+            changed = changed.with_readings(fit.corrected(recording, outliers=True).readings)
+            values = np.zeros_like(values)
+    instrument = np.zeros((len(recording.instruments), construction.size))
+    if construction.size == fit.state.instrument.shape[1]:
+        instrument = fit.state.instrument
+    extra = np.zeros(sum(len(e.parameters) for e in effects))
+    start = replace(fit.state, instrument=instrument, extra=np.concatenate([extra, values]))
+    return adjust(changed, construction, effects=(*effects, *shifts), start=start, **how)
