@@ -26,7 +26,7 @@ pictures 480 MB."""
 CALIBRATED_POINTINGS = 35_000
 """Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
 DIAGNOSED_POINTINGS = 8_000
-"""Pointings of a network that is diagnosed within half a minute: each meets the candidate causes, which takes 170 kB."""
+"""Pointings of a network that is diagnosed, in half a minute: each meets the candidate causes, which takes 170 kB."""
 
 TOML_BYTES = 8 * MIB
 """[bytes] Size of a TOML file: the parser, written in Python, reads 1 MiB in a second."""
