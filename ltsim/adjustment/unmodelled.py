@@ -1,4 +1,4 @@
-"""Uncertainty of adjusted places by errors that an adjustment neither contains nor estimates: the air along the beams.
+"""Uncertainty of adjusted places due to errors outside the adjustment: the air along the beams.
 
 To first order the unknowns follow the whitened rows l of the adjustment by P = N^-1 A' (N the normal matrix, A the
 whitened design). An error with the shift s of these rows moves the places by P s, so that its part of their covariance
@@ -20,7 +20,7 @@ TEMPERATURE, GRADIENT, TURBULENCE = "temperature of the air", "gradient of the a
 
 
 def reach_of(adjustment: Adjustment, columns: Ints) -> Floats:
-    """Displacement (m, k) of unknowns `columns` (k,) for a unit of each whitened row of the adjustment."""
+    """Displacement (m, k) of unknowns `columns` (k,) per unit of each whitened row of the adjustment."""
     return np.asarray(adjustment.solution.system.design @ _covariance_columns(adjustment, columns))
 
 
@@ -35,7 +35,7 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 
 
 def counted_air(adjustment: Adjustment, air: Air | None = None) -> Air | None:
-    """`air`, by default that of the set-up, where the sights are long enough for it to count; else None."""
+    """Uncertainty of the air (default that of the set-up) if the lines of sight are long enough; else None."""
     chosen = air or adjustment.recording.setup.air or Air()
     used = adjustment.problem.use.any(axis=1)
     return chosen if chosen.counts(longest_sight(adjustment)) and used.any() else None
@@ -47,9 +47,9 @@ def longest_sight(adjustment: Adjustment) -> float:
 
 
 def air_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, Floats]:
-    """Displacements (k, q) of unknowns by the air, by cause, one column per standard deviation of a variate.
+    """Displacements (k, q) of unknowns by the air, by cause, with one column per standard deviation of a variate.
 
-    A station has one temperature and one gradient, a reading its turbulence. `reach` (m, k) is of these unknowns.
+    Each station has a temperature and a gradient, each reading a turbulence. `reach` (m, k) belongs to these unknowns.
     """
     readings = reach[: int(adjustment.problem.use.sum())].T
     common, station = _common_shifts(adjustment, air)
@@ -80,7 +80,10 @@ def _turbulence_shifts(adjustment: Adjustment, air: Air) -> Floats:
 
 
 def shared_air_errors(air: Air) -> tuple[str, str]:
-    """Errors of the air that all stations share; poses and targets absorb them, and no residual shows them."""
+    """Names of the errors of the air that all stations share.
+
+    Poses and targets absorb them, so that residuals do not show them.
+    """
     scale = air.temperature_k * bending() / PPM
     return (
         f"air {air.temperature_k:g} K warmer at all stations than its thermometer (scale {scale:.2g} ppm)",
@@ -89,13 +92,13 @@ def shared_air_errors(air: Air) -> tuple[str, str]:
 
 
 def common_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, Floats]:
-    """Displacements (k,) of unknowns by one standard deviation of each error of `shared_air_errors`."""
+    """Displacements (k,) of unknowns by one standard deviation of each of the `shared_air_errors`."""
     shifts, _ = _common_shifts(adjustment, air)
     return dict(zip(shared_air_errors(air), shifts @ reach[: shifts.shape[1]], strict=True))
 
 
 def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None) -> Floats:
-    """Covariance (c, k, k) that the air adds to sets (c, k) of unknowns; zero where it does not count.
+    """Covariance (c, k, k) of sets (c, k) of unknowns due to the air; zero for short ranges.
 
     With C the covariance of the unknowns and S that of the shifts of the rows, it is C A' S A C: no matrix has the
     readings for rows and the sets for columns.
@@ -133,7 +136,7 @@ def _air_normals(adjustment: Adjustment, air: Air) -> tuple[Floats, Design]:
 
 
 def joint_air_covariance(adjustment: Adjustment, air: Air | None = None) -> Floats:
-    """Covariance (3 T, 3 T) [m^2] that the air adds to all targets; zero where it does not count."""
+    """Covariance (3 T, 3 T) [m^2] of all targets due to the air; zero for short ranges."""
     columns = adjustment.problem.unknowns.target.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 
@@ -141,7 +144,7 @@ def joint_air_covariance(adjustment: Adjustment, air: Air | None = None) -> Floa
 def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict[str, float]:
     """Rms displacement [m] of the targets by each error of the air that all stations share, after the best rigid fit.
 
-    One standard deviation of each; readings do not show it, so that no adjustment reports it.
+    It is for one standard deviation; readings do not show the errors, so that no adjustment reports them.
     """
     chosen = air or adjustment.recording.setup.air or Air()
     targets = np.flatnonzero(~adjustment.problem.structure.unseen & ~adjustment.open_heights)

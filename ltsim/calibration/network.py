@@ -49,7 +49,7 @@ def calibrate_network(
     weigh: bool = True,
     extra_effects: Sequence[RequestedEffect] = (),
 ) -> Calibration:
-    """The method `network` of `ltsim.calibrate`, whose options and errors it has, and further ones of programs.
+    """Method `network` of `ltsim.calibrate`, with its options and errors, and with additional options.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def adjust(
     noise_from_data: bool = False,
     datum: str | Sequence[str] | None = None,
 ) -> Calibration:
-    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
+    """Network adjustment of a recording without instrument parameters: targets, stations, outliers.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def _adjusted(
 
 
 def _in_frame(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """The adjustment; NetworkError where a datum is asked for that control points define."""
+    """Adjustment; raises NetworkError for a requested datum in a network whose frame control points define."""
     if datum and not adjustment.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return adjustment

@@ -24,15 +24,17 @@ from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.variance import VarianceFunction
 
 WORSE, HARM = 0.05, 0.03
-"""Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
+"""Permitted relative increase of the coordinate error when the shift of a law is subtracted, and probability that it is
+exceeded.
+"""
 MOST_OPEN, LEAST = 12, 0.003
-"""Largest number of averaged explanations, and the probability below which one is dropped (cost)."""
+"""Largest number of averaged explanations, and smallest probability of one (cost)."""
 
 
 def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> tuple[Targets, Floats]:
@@ -68,9 +70,12 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
-    """Largest share of a change (T, 3) [m] that hardly makes targets worse; explanations deviate by (k, T, 3) [m]."""
+    """Largest fraction of a change (T, 3) [m] that hardly increases target errors.
+
+    Explanations deviate by (k, T, 3) [m].
+    """
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
-    shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
+    shift = without_rigid_motion(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
     along[problem.unknowns.target.ravel()] = shift
     disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
@@ -80,9 +85,9 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
 
 
 def safe_share(size: float, spread: float, noise: float) -> float:
-    """The largest share t of s to take off, with which t^2 s's - 2 t (s's + s'e) is small but for a chance of `HARM`.
+    """Largest fraction t of the shift s for which t^2 s's - 2 t (s's + s'e) is small except with probability `HARM`.
 
-    Small is ((1 + WORSE)^2 - 1) (s's + e'e), e'e at its expectation.
+    The limit is ((1 + WORSE)^2 - 1) (s's + e'e), with e'e at its expectation.
 
     Parameters
     ----------
@@ -101,7 +106,7 @@ def model_weights(
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
-    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, change no reading.
+    Log evidences are divided by `temperature`. Changes of the noise, like no effect, do not change readings.
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
@@ -122,7 +127,7 @@ def _is_noise(hypothesis: Hypothesis) -> bool:
 
 
 def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
-    """An explanation at its most probable shapes, and their probabilities."""
+    """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
     )

@@ -54,9 +54,9 @@ class DiagnosisArrays(ValueEquality):
     averaging_change: Floats
     """Change of the readings averaged over the explanations, less that of the refit, (n, 3) [m, rad, rad]."""
     baseline: Adjustment
-    """The ordinary adjustment."""
+    """Adjustment of the ordinary model."""
     adjusted: Adjustment
-    """The adjustment with the findings modelled."""
+    """Adjustment with the findings in the model."""
 
 
 class Diagnosis(ResultFile):
@@ -66,15 +66,15 @@ class Diagnosis(ResultFile):
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
     """Format and version of this file."""
     verdict: str
-    """`consistent`, or `mismatch`."""
+    """Verdict: `consistent` or `mismatch`."""
     summary: str
-    """The answer in a few sentences."""
+    """Summary in a few sentences."""
     global_test: GlobalTest
     """Global test of the ordinary model."""
     findings: tuple[Finding, ...] = ()
     """Unmodelled causes that explain the readings."""
     tests: tuple[Test, ...] = ()
-    """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
+    """Table of tests, as in `adjust` and `check`: simple causes that the readings support, and outliers."""
     fit: BeforeAfter | None = None
     """Misfit without and with the findings."""
     undetectable: tuple[Undetectable, ...] = ()
@@ -87,31 +87,31 @@ class Diagnosis(ResultFile):
 
     @classmethod
     def of(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
-        """The diagnosis with its networks; `fields` are those of the file."""
+        """Diagnosis with its networks; `fields` are those of the file."""
         made = cls(**fields)
         made._arrays = arrays
         return made
 
     @property
     def arrays(self) -> DiagnosisArrays:
-        """The networks; raises ModelError for a diagnosis that was read from a file."""
+        """Networks of the diagnosis; raises ModelError for a diagnosis that was read from a file."""
         if self._arrays is None:
             raise ModelError("a diagnosis read from a file has no networks; call lt.diagnose with the recording")
         return self._arrays
 
     @property
     def targets(self) -> Targets:
-        """Coordinates with the findings modelled, averaged over the explanations."""
+        """Coordinates with the findings in the model, averaged over the explanations."""
         return self.arrays.targets
 
     @property
     def baseline(self) -> Adjustment:
-        """The ordinary adjustment."""
+        """Adjustment of the ordinary model."""
         return self.arrays.baseline
 
     @property
     def adjusted(self) -> Adjustment:
-        """The adjustment with the findings modelled."""
+        """Adjustment with the findings in the model."""
         return self.arrays.adjusted
 
     def _lines(self) -> list[str]:
@@ -152,7 +152,7 @@ class Diagnosis(ResultFile):
         )
 
     def _findings(self) -> Table:
-        """Rows of findings, one per parameter; an unknown effect without parameters has one row."""
+        """Table of findings, one row per parameter; an unknown effect without parameters has one row."""
         nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
         return FINDINGS.filled(
             [

@@ -25,7 +25,9 @@ LEAST_SWITCHED = {True: 1, False: 2}
 """Smallest number of switching times within set-ups of laws with and without a region of the hall: single steps without
 one are effects of the catalogue."""
 MOST_PIECES, EARLY_STOP = 10, 3
-"""Largest number of steps and ramps, and of those tried after the evidence has last risen."""
+"""Largest number of steps and ramps, and number of additional ones that are tried after the evidence has last
+increased.
+"""
 
 
 def evaluate_forms(
@@ -54,7 +56,7 @@ def evaluate_forms(
 
 
 def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """The forms of a law at its place."""
+    """Functional forms of a law at its place."""
     forms = law.forms(exact.space.sightings)
     whole = sum(FORMS[kind] for kind in forms)
     shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(sets))) for kind, sets in forms.items()}
@@ -71,7 +73,7 @@ def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> li
 
 
 def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """Law made of a few steps and ramps, by forward selection while the evidence rises."""
+    """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
     atoms = law.atoms(exact.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
@@ -102,14 +104,17 @@ def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
 
 
 def _courses(law: Law, sightings: Sightings) -> int:
-    """Number of drivers, of which this one is among the best, that a switch may turn out to be: every wave's rate."""
+    """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
     return (
         sum(wave.covariates == law.driver.covariates for wave in waves(sightings)) if law.driver.kind == "wave" else 1
     )
 
 
 def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """Law that is switched on and off, always by the same amount: intervals are toggled while the evidence rises."""
+    """Forms of a law that is switched on and off with a constant amount.
+
+    Intervals are toggled while the evidence increases.
+    """
     sightings = exact.space.sightings
     edges = law.edges(sightings)
     if len(edges) < EARLY_STOP or len(law.targets) == 1:
@@ -152,7 +157,7 @@ def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) ->
 
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
-"""Number of points of a reported curve, of each cycle of a wave, and the largest number."""
+"""Number of points of a reported curve, of each cycle of a wave, and largest number of points."""
 
 
 def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:

@@ -22,7 +22,7 @@ Names = NDArray[np.str_]
 
 OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
 USUAL = ("azimuth", "elevation", "distance", "time", "row")
-"""Covariates of every recording: the time if it has a clock, else the row."""
+"""Covariates of every recording; the time is used if there is a clock, otherwise the row."""
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 
 
@@ -34,17 +34,17 @@ class Residuals:
     """Data row of the recording, from 1, (n,)."""
     station: Names
     target: Names
-    """(n,) each."""
+    """Names of station and target, (n,) each."""
     observable: Ints
     """Index into `OBSERVABLES`, (n,)."""
     residual: Floats
-    """(n,): in um for a distance, in arcsec for an angle."""
+    """Residual, (n,), in um for a distance and in arcsec for an angle."""
     w: Floats
     """Normalised residual, standard normal where the model holds, (n,)."""
     redundancy: Floats
-    """(n,)."""
+    """Redundancy of each observation, (n,)."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """(n,): in the units of `COVARIATE_UNIT`."""
+    """Covariates by name, (n,) each, in the units of `COVARIATE_UNIT`."""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -60,7 +60,7 @@ class Residuals:
 
     @property
     def order(self) -> str:
-        """Covariate of the order of the work: the time, or the row if the recording has no clock."""
+        """Covariate of the order of measurement: the time, or the row if the recording has no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
     @property
@@ -70,7 +70,7 @@ class Residuals:
             return np.asarray(np.abs(self.residual / self.w) / np.sqrt(self.redundancy))
 
     def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
-        """Mask (n,) of the rows at the given stations and targets; an empty list means all."""
+        """Mask (n,) of the rows at the given stations and targets; an empty tuple means all."""
         inside = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):
             if names:

@@ -326,7 +326,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     [
         ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a mark that was"),
         ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
-        ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "that is no covariance"),
+        ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "not positive definite"),
         ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "whose variances are not all above 0"),
         (
             '<obs from="A">',
@@ -413,7 +413,7 @@ def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> No
         inside += f'<obs from="P"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
     judged = verdict(adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))))
     assert "miss the network" not in judged.sentence
-    assert judged.sentence.startswith(("Trust the stated noise", "Noise and model agree"))
+    assert judged.sentence.startswith(("Trust the declared noise", "Noise and model agree"))
 
 
 def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path: Path) -> None:

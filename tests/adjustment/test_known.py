@@ -189,7 +189,7 @@ def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> Non
     (test,) = found.rejected_references
     assert {test.name, *test.indistinguishable_from} == {"T01", "T06"}
     assert not test.excluded
-    assert "do not identify which one is in error" in warnings_of(found)[0]
+    assert "do not show which one is wrong" in warnings_of(found)[0]
 
 
 def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) -> Recording:

@@ -218,7 +218,7 @@ def test_results_of_gama_are_read(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="do not match dim and band"):
         read_coordinates(path)
     path.write_text(GAMA.replace("<flt>0.25</flt>", "<flt>25</flt>"))
-    with pytest.raises(RecordError, match="negative in some direction"):
+    with pytest.raises(RecordError, match="not positive definite"):
         read_coordinates(path)
 
 

@@ -332,7 +332,7 @@ def test_nothing_half_written(tmp_path: Path) -> None:
         write_recording(bad, tmp_path / "rec")
     assert not (tmp_path / "rec").exists()
     (tmp_path / "file").write_text("x")
-    with pytest.raises(RecordError, match="this is a file"):
+    with pytest.raises(RecordError, match="the path is a file"):
         write_recording(recording, tmp_path / "file")
     with pytest.raises(RecordError, match="cannot be written"):
         write_recording(recording, tmp_path / "file" / "rec")
@@ -459,7 +459,7 @@ def test_what_a_setup_says_of_points_that_nobody_measured_is_told(folder: Path) 
     over, station, datum, known = read_recording(folder).notes
     assert over.startswith("stations.S1.over names 'T11', which no pointing and no other set-up names")
     assert over.endswith("did you mean T1?")
-    assert station == "stations.s1 was never measured: it changes nothing; did you mean S1?"
+    assert station == "stations.s1 was never measured: it has no effect; did you mean S1?"
     assert datum == "targets.NOPE is of the datum, but left out: it was never measured"
     assert known.startswith("targets.T0 is known but was never measured; did you mean ")
 

@@ -187,7 +187,7 @@ def test_what_is_kept_and_what_is_left_out_is_said(tmp_path: Path) -> None:
     assert set(found.labels["Operator"]) == {"night shift"}
     said = "\n".join(found.notes)
     assert "covariates and labels: 'T [C]', 'Operator'" in said
-    assert "free text is left out: line 1 of a.csv ('Job: hall 7'); line 32" in said
+    assert "free text is not used: line 1 of a.csv ('Job: hall 7'); line 32" in said
     assert "'V [deg]' is interpreted as zenith angles" in said
     assert "'Hz [deg]' is interpreted as a horizontal circle, clockwise" in said
 

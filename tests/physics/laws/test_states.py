@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressor_library import for_a_time, is_near_several, regressors_of
+from ltsim.physics.laws.regressor_library import is_near_several, regressors_of, temporary_regions
 from ltsim.physics.laws.regressors import latch, simple, switch
 from ltsim.physics.laws.responses import RESPONSES
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS, INPUTS, latches_of, state, states_of
@@ -94,8 +94,8 @@ def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
     assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
 
 
-def test_what_stands_in_the_hall_for_a_time_acts_on_the_lines_that_pass_it_then(sightings: Sightings) -> None:
-    drivers = list(for_a_time(sightings))
+def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_it_then(sightings: Sightings) -> None:
+    drivers = list(temporary_regions(sightings))
     assert drivers
     for driver in drivers[::5]:
         region, gate = driver.factors
