@@ -20,6 +20,7 @@ from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
@@ -198,7 +199,11 @@ def _agrees(fit: Fit) -> bool:
 def identified(
     recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
 ) -> Selection | None:
-    """Simple causes of a recording, by default with instrument errors in the model; None if it is no network."""
+    """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
+
+    NetworkError where it holds too many pointings.
+    """
+    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     try:
         return select(Network(recording, construction or declared_construction(recording), prior))
     except LtsimError:
