@@ -35,12 +35,12 @@ from benchmarks.peers import (
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import Engine, recording_of
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.engine import BatchCalibrator, recording_of
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.rows import ShardTask, run_task, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.store import Store
-from ltsim.campaigns.truth import BLOCK, Block
+from ltsim.campaigns.truth import BLOCK, TrialBatch
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import aligned
 from ltsim.physics.model.construction import misalignment
@@ -59,7 +59,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
     return best
 
 
-def difference(engine: Engine, block: Block, trial: int, values: Floats, points: Floats) -> float:
+def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: Floats, points: Floats) -> float:
     """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
     full, own, _ = engine.single.solved(recording_of(engine.truth, block, trial))
     if full is None:
@@ -72,7 +72,7 @@ def difference(engine: Engine, block: Block, trial: int, values: Floats, points:
 def peers(trials: int) -> None:
     """The table of solvers."""
     truth = workshop()
-    engine, judge = Engine(truth, misalignment()), Judge(truth)
+    engine, judge = BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
     block = truth.draw(SEED, 0)
     found = engine.calibrate(block)
     judge.before(block)
@@ -117,7 +117,9 @@ def peers(trials: int) -> None:
     print(aligned(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
 
 
-def _peer(name: str, solver: Solver, engine: Engine, block: Block, trials: int, batch: float) -> list[str]:
+def _peer(
+    name: str, solver: Solver, engine: BatchCalibrator, block: TrialBatch, trials: int, batch: float
+) -> list[str]:
     count = max(2, trials // 4) if "differences" in name else trials
     worst, least = 0.0, np.inf
     for k in range(count):
@@ -140,7 +142,7 @@ def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
 def parts() -> None:
     """Where the time of a trial goes."""
     truth = workshop()
-    engine, judge = Engine(truth, misalignment()), Judge(truth)
+    engine, judge = BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
     network, block = engine.network, truth.draw(SEED, 0)
     found = engine.calibrate(block)
     x, predicted = network._linear_start(block.deviation, block.gauge_error)
@@ -203,7 +205,7 @@ def scaling(short: bool) -> None:
     rows = []
     for stations, targets in sizes:
         truth = room(stations, targets)
-        engine = Engine(truth, misalignment())
+        engine = BatchCalibrator(truth, misalignment())
         start = time.process_time()
         block = truth.draw(SEED, 0)
         engine.calibrate(block)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.scene.meshes import Obstacles, box, cylinder, placed
+from ltsim.scene.meshes import Obstacles, box, cylinder, transformed
 
 HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
 
@@ -60,7 +60,7 @@ def test_a_cad_file_needs_no_extra(plain_install, tmp_path: Path, monkeypatch, c
 
 
 def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
-    bodies = [box(np.array([1.0, 2.0, 3.0])), placed(cylinder(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3)]
+    bodies = [box(np.array([1.0, 2.0, 3.0])), transformed(cylinder(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3)]
     obstacles = Obstacles(np.concatenate(bodies))
     rng = np.random.default_rng(2)
     origins, ends = rng.uniform(-5, 5, (2, 300, 3))

@@ -15,7 +15,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, ModelError, RecordError, SetupError
-from ltsim.core.results import MOST_SHOWN, Result
+from ltsim.core.results import MAX_SHOWN, Result
 
 SMALL_PLAN = """
 format = "ltsim-plan/1"
@@ -101,8 +101,8 @@ def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
     hostile = recording.setup.model_copy(update={"title": "<script>alert(1)</script>"})
     page = replace(recording, setup=hostile)._repr_html_()
     assert "<script>" not in page
-    assert page.count("<tr>") == MOST_SHOWN + 1
-    assert f"and {len(recording) - MOST_SHOWN} more rows" in page
+    assert page.count("<tr>") == MAX_SHOWN + 1
+    assert f"and {len(recording) - MAX_SHOWN} more rows" in page
 
 
 def test_an_empty_table_is_shown_as_nothing():
@@ -193,13 +193,11 @@ def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
 
 
 def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path, capsys):
-    with pytest.raises(
-        ModelError, match="robust, noise_from_data, datum, prior and with_effects go with method network"
-    ):
+    with pytest.raises(ModelError, match="robust, noise_from_data, datum, prior and with_effects need method network"):
         lt.calibrate(recording, method="distance", robust=True)
     lt.write(recording, tmp_path / "rec")
     assert run(["calibrate", str(tmp_path / "rec"), "--method", "distance", "--robust"]) == 2
-    assert "--prior and --with go with --method network" in capsys.readouterr().err
+    assert "--prior and --with need --method network" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

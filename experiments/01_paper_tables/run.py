@@ -14,7 +14,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_differences,
     distance_errors,
 )
-from ltsim.campaigns.rows import Prepared, TrialBlock
+from ltsim.campaigns.rows import CellContext, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
@@ -63,7 +63,7 @@ def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
 
 def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataFrame]:
     """Trials of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
-    ready = Prepared(campaign, cell.scenario, cell.judge)
+    ready = CellContext(campaign, cell.scenario, cell.judge)
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.blocks(0, campaign.trials):
         wanted = np.flatnonzero(block.trials < campaign.trials)

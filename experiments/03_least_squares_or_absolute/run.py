@@ -9,9 +9,9 @@ from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summa
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.engine import Calibrated, recording_of
-from ltsim.campaigns.rows import Prepared, TrialBlock
+from ltsim.campaigns.rows import CellContext, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
-from ltsim.campaigns.truth import Block, CellTruth
+from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
 from ltsim.core.parallel import parallel
 from ltsim.core.randomness import stream
@@ -35,7 +35,7 @@ class WithoutOutliers:
         self.construction: Construction = misalignment()
         self.effects: tuple[Effect, ...] = ()
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
         """Calibrate a block trial by trial."""
         count, true = block.deviation.shape[2], self.truth.state.points
         values, points = np.zeros((1, self.construction.size, count)), np.zeros((*true.shape, count))
@@ -59,12 +59,12 @@ class WithoutOutliers:
             adjustment = adjust(recording, self.construction, use=use, start=adjustment.state)
         return adjustment
 
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+    def difference(self, block: TrialBatch, trial: int, found: Calibrated) -> float:
         """It is the full solver."""
         return float("nan")
 
 
-def with_outliers(truth: CellTruth, block: Block, percent: float, seed: int) -> Block:
+def with_outliers(truth: CellTruth, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
     draw = stream(seed, "outliers", int(block.trials[0]))
     shape = block.deviation.shape
@@ -79,7 +79,7 @@ def with_outliers(truth: CellTruth, block: Block, percent: float, seed: int) -> 
 
 def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, pd.DataFrame]:
     """Columns by method, with a share of outliers."""
-    ready = Prepared(campaign, cell.scenario, cell.judge)
+    ready = CellContext(campaign, cell.scenario, cell.judge)
     parts: dict[str, list[pd.DataFrame]] = {}
     for here, calibrators, clean in ready.blocks(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, batches, show_table
-from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.truth import BLOCK, CellTruth, truth_of
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, best_fit
-from ltsim.measurands.propagation import Propagated, expansion_of, propagate
+from ltsim.measurands.propagation import LinearUncertainty, expansion_of, propagate
 from ltsim.measurands.spec import Tasks, load_tasks
 from ltsim.physics.model.construction import misalignment
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -34,7 +34,7 @@ def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number:
     Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
     frame of inner constraints, which the prediction is told in.
     """
-    engine = Engine(truth, misalignment())
+    engine = BatchCalibrator(truth, misalignment())
     found = engine.calibrate(truth.draw(seed, number))
     drawn = truth.state.points + np.moveaxis(found.points, 2, 0)
     rotation, shift, _ = best_fit(placed, drawn)
@@ -48,7 +48,7 @@ Names = list[tuple[str, str, str, float]]
 """Task, result, unit and its factor of each result."""
 
 
-def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Propagated, Names, Floats]:
+def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
     """Uncertainty of an error-free recording, without one source; its results, and where it has the targets (T, 3)."""
     budget = tuple(entry for entry in tasks.type_b if entry.effect != dropped)
     told = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})
@@ -58,7 +58,7 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Propag
     return propagate(inputs, measurands, expansion_of(None)), names, inputs.origin.state.points
 
 
-def table_of(case: str, errors: Floats, linear: Propagated, names: Names) -> list[Any]:
+def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:
     """A row a result: predicted and observed deviation, share inside the 95 % interval, both with their uncertainty."""
     rows, count = [], len(errors)
     inside, scatter = np.mean(np.abs(errors) <= linear.expanded(0.95), axis=0), errors.std(axis=0, ddof=1)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.common import Made, Options, Row, show_table, write_figure
-from ltsim.acceptance.prediction import AcceptancePlan, harm_of
+from ltsim.acceptance.prediction import AcceptancePlan, point_errors_by_constant
 from ltsim.acceptance.spec import builtin, envelope
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
@@ -29,7 +29,7 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
         for name in config["standards"]
     }
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
-    harm, range_ = harm_of(built, points, prior), to_polar(points)[:, 0]
+    harm, range_ = point_errors_by_constant(built, points, prior), to_polar(points)[:, 0]
     limit = np.hypot(np.sqrt(2) * limits.across(range_), limits.along(range_))
     parts = []
     for start in range(0, trials, BLOCK):

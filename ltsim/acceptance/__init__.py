@@ -1,1 +1,4 @@
-"""Acceptance tests of the standards, of one's own plan, or of one's own network: predicted and judged."""
+"""Acceptance tests of trackers: tests of the standards, of a user's plan, or by a user's network.
+
+Predicted or evaluated.
+"""

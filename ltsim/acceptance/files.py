@@ -1,4 +1,4 @@
-"""accept.json and accept.csv: what acceptance tests will find, or found."""
+"""Result of acceptance tests: accept.json and accept.csv."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal
@@ -20,31 +20,31 @@ class TestEntry(Entry):
     group: str
     """Group of the test: lengths of one position, two-face tests, ..."""
     limit_um: Positive
-    """Maximum permissible error by the manufacturer's specification [um]."""
+    """Maximum permissible error of the manufacturer's specification [um]."""
     error_um: Finite
-    """Expected or measured error [um]; of a two-face test the distance across the beam."""
+    """Expected or measured error [um]; for a two-face test the distance perpendicular to the beam."""
     expanded_um: OptionalFloat = None
-    """Expanded uncertainty of the error for 95 % [um]; null where it was not reported."""
+    """Expanded uncertainty (95 %) of the error [um]; null if it was not reported."""
     passes: Finite
     """Probability that the error is within the limit; 1 or 0 for a measured error."""
 
 
 class GroupEntry(Entry):
-    """The tests of one group."""
+    """Summary of the tests of one group."""
 
     name: str
     """Name of the group."""
     tests: int
     """Number of tests in the group."""
     passes: Finite
-    """Chance that all keep their limits; 1 or 0 where errors were found."""
+    """Probability that all tests are within their limits; 1 or 0 for measured errors."""
     largest_share: Finite
-    """Largest error over its limit; of a prediction the error and its uncertainty together."""
+    """Largest ratio of error to limit; for a prediction the error includes its uncertainty."""
 
 
 TESTS = Table(
     "accept.csv",
-    "tests against the maker's limits",
+    "errors and limits of the tests",
     columns_of(
         TestEntry,
         name={"name": "test"},
@@ -66,7 +66,7 @@ GROUPS = Table(
 
 
 class SensitivityEntry(Entry):
-    """Sensitivity of the tests to one constant of the instrument, the others being zero."""
+    """Sensitivity of the tests to one constant of the instrument, with all others zero."""
 
     name: str
     """Name of the constant."""
@@ -75,24 +75,24 @@ class SensitivityEntry(Entry):
     prior_sigma: Finite
     """Prior standard deviation of the constant by the specification, in `unit`."""
     smallest_failing: OptionalFloat
-    """Size at which it fails a test; null where no test sees it."""
+    """Smallest size of the constant at which a test fails; null if no test depends on it."""
     test: str
-    """The test that it fails first."""
+    """Test that fails first."""
 
 
 class WorstEntry(Entry):
-    """The instrument that harms points around it most and passes every test."""
+    """Instrument with the largest point errors that still passes every test."""
 
     constants: dict[str, Finite]
-    """Constants of the budget in the units of the sensitivities."""
+    """Constants of the instrument, in the units of the sensitivities."""
     rms_um: Finite
-    """Error of points around it, 1.5 to 9 m away, after a best fit: root mean square."""
+    """Root mean square error of points around it, 1.5 to 9 m away, after a best fit."""
     largest_um: Finite
-    """The largest of them."""
+    """Largest error of these points."""
 
 
 class AcceptanceFile(ResultFile):
-    """`accept.json`: from `accept`."""
+    """`accept.json`: the result of `accept`."""
 
     FILE: ClassVar[str] = "accept.json"
     format: Literal["ltsim-accept/1"] = "ltsim-accept/1"
@@ -102,23 +102,23 @@ class AcceptanceFile(ResultFile):
     kind: Literal["predicted", "measured", "network"]
     """Origin of the test errors: predicted, measured, or taken from a network."""
     plan: str
-    """The standard, or the file of tests."""
+    """Standard, or file of tests."""
     specification: Specification
-    """The maker's limits."""
+    """Limits of the manufacturer."""
     assumption: str = ""
     """Assumption by which limits were converted to standard deviations."""
     passes: Finite
-    """Chance to pass every test; 1 or 0 where errors were found."""
+    """Probability that all tests pass; 1 or 0 for measured errors."""
     sentence: str
-    """The answer."""
+    """Sentence with the result."""
     groups: tuple[GroupEntry, ...] = Field(min_length=1)
     """Tests by group."""
     tests: tuple[TestEntry, ...] = Field(min_length=1)
-    """All of them."""
+    """All tests."""
     sensitivities: tuple[SensitivityEntry, ...] = ()
     """Sensitivity of the tests to each constant of the instrument."""
     worst_passing: WorstEntry | None = None
-    """Worst instrument that passes every test: errors that the tests do not detect."""
+    """Instrument with the largest point errors that passes every test; null if it was not searched."""
 
     def _lines(self) -> list[str]:
         return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]
@@ -130,7 +130,7 @@ class AcceptanceFile(ResultFile):
 def group_entries(
     tests: Sequence[TestEntry], passes: Mapping[str, float], *, predicted: bool
 ) -> tuple[GroupEntry, ...]:
-    """The tests by group; of a prediction the uncertainty of an error counts with it."""
+    """Summaries of the tests by group; in a prediction the uncertainty of an error is included in it."""
 
     def share(test: TestEntry) -> float:
         margin = (test.expanded_um or 0.0) if predicted else 0.0
@@ -144,5 +144,5 @@ def group_entries(
 
 
 def passes_words(content: AcceptanceFile, chance: float) -> str:
-    """A chance to pass, or whether errors that were found keep their limits."""
+    """Text of the probability to pass or, for measured errors, of their comparison with the limits."""
     return f"{100 * chance:.1f} %" if content.kind == "predicted" else "yes" if chance == 1 else "no"

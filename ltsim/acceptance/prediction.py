@@ -1,4 +1,4 @@
-"""Errors, sensitivities, pass probabilities and blind directions of tests, by an instrument's constants and noise."""
+"""Prediction of test errors, sensitivities, probabilities to pass, and undetected errors from constants and noise."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
-UNSEEN = 1e-6
-"""Share of a limit that a constant of usual size makes by rounding alone."""
-PLAUSIBLE = 3.0
-"""Prior standard deviations within which an instrument is looked for that passes although it is bad."""
+ROUNDING_SHARE = 1e-6
+"""Fraction of a limit that a constant of usual size may cause by rounding alone."""
+MAX_PRIOR_SIGMAS = 3.0
+"""Number of prior standard deviations within which an instrument that passes despite large errors is searched."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class AcceptancePlan:
 
     @cached_property
     def is_length(self) -> Bools:
-        """Lengths; the others are two-face tests, (k,)."""
+        """Flags (k,): length test (True) or two-face test (False)."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
     def limits(self) -> Floats:
-        """(k,) [m]: what the specification permits."""
+        """Limits of the specification, (k,) [m]."""
         first, second = self._ends
         limit = self.specification.of_two_faces(first)
         chosen = self.is_length
@@ -53,10 +53,10 @@ class AcceptancePlan:
         return limit
 
     def errors(self, values: Floats) -> Floats:
-        """Errors (k, 2) [m] of the tests by an instrument with constants (p,) [SI], without noise; exact.
+        """Errors (k, 2) [m] of the tests for an instrument with constants (p,) [SI], without noise; exact.
 
-        Of a length: measured minus true, and 0. Of a two-face test: the front face's point less the back face's, to
-        the left and up as seen from the instrument.
+        For a length they are measured minus true, and 0. For a two-face test they are the front-face point minus the
+        back-face point, to the left and upwards as seen from the instrument.
         """
         first, second = self._ends
         front = np.ones(len(first), dtype=np.int64)
@@ -69,14 +69,14 @@ class AcceptancePlan:
 
     @cached_property
     def sensitivities(self) -> Floats:
-        """Change of the errors with each constant, by central differences, (k, 2, p) [m per SI unit]."""
+        """Derivative of the errors with respect to the constants, by central differences, (k, 2, p) [m per SI unit]."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
         columns = [(self.errors(s) - self.errors(-s)) / (2 * s.sum()) for s in steps]
         return np.stack(columns, axis=2)
 
     @cached_property
     def scatter(self) -> Floats:
-        """Standard deviations of the errors by the noise of the readings, (k, 2) [m]."""
+        """Standard deviations of the errors due to noise, (k, 2) [m]."""
         first, second = self._ends
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
@@ -89,7 +89,7 @@ class AcceptancePlan:
         return np.sqrt(squares)
 
     def _point_noise(self, points: Floats) -> tuple[Floats, Floats]:
-        """Beam, left and up (k, 3, 3) and the standard deviations (k, 3) [m] along them."""
+        """Directions of beam, left and up (k, 3, 3), and standard deviations (k, 3) [m] along them."""
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
         flat = np.zeros(len(polar))
@@ -97,10 +97,10 @@ class AcceptancePlan:
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
     def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
-        """Errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
+        """Predicted errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
 
-        The chance to pass is that of `trials` draws of constants and noise; the errors of each draw are linear in its
-        distance from the mean, where they are exact.
+        The probability to pass is estimated with `trials` draws of constants and noise, whose errors are linearised
+        about the mean.
         """
         rng = stream(seed, "accept")
         middle = self.errors(mean)
@@ -129,28 +129,28 @@ class AcceptancePlan:
         )
 
     def within(self, errors: Floats) -> Bools:
-        """True if errors (..., k, 2) [m] are within the limits, (...,)."""
+        """Flags (...,): errors (..., k, 2) [m] are within the limits."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.limits
 
     def smallest_failing(self) -> tuple[Floats, list[Test]]:
-        """Size (p,) [SI] at which each constant alone fails a test, and the test that it fails first; inf if none."""
+        """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test; inf if none."""
         per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.limits[:, None]
         at = np.argmax(per_unit, axis=0)
         most = per_unit[at, np.arange(len(at))]
         usual = np.array([p.prior_sigma for p in self.construction.parameters])
-        size = np.where(most * usual > UNSEEN, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
+        size = np.where(most * usual > ROUNDING_SHARE, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
         return size, [self.tests[i] for i in at]
 
     def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
-        """The constants (p,) [SI] that harm points (n, 3) [m] around the instrument most, and still keep every limit.
+        """Constants (p,) [SI] with the largest errors of points (n, 3) [m] that still meet every limit.
 
-        Beside them the error of these points, root mean square and largest [m]. The constants are looked for along the
-        directions in which harm over what the tests see is largest, each as long as the limits and `PLAUSIBLE` prior
-        standard deviations (p,) allow.
+        Also returned are the root mean square and the largest error of these points [m]. The search is along the
+        directions with the largest ratio of point errors to test errors, up to the limits and to `MAX_PRIOR_SIGMAS`
+        prior standard deviations (p,).
         """
-        harm = harm_of(self.construction, points, prior)
+        harm = point_errors_by_constant(self.construction, points, prior)
         directions = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
-        bound = directions.T @ directions + np.eye(len(prior)) / PLAUSIBLE**2
+        bound = directions.T @ directions + np.eye(len(prior)) / MAX_PRIOR_SIGMAS**2
         root = np.linalg.inv(np.linalg.cholesky(bound))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
         tried = np.array([self._stretched(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
@@ -160,9 +160,9 @@ class AcceptancePlan:
         return tried[best], float(rms[best]), float(gaps[best].max())
 
     def _stretched(self, direction: Floats, prior: Floats) -> Floats:
-        """The longest (p,) [SI] along a direction in units of the prior that keeps every limit, to 0.1 %."""
-        low, high = 0.0, PLAUSIBLE
-        while high - low > 1e-3 * PLAUSIBLE:
+        """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""
+        low, high = 0.0, MAX_PRIOR_SIGMAS
+        while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
             middle = (low + high) / 2
             passes = self.within(self.errors(middle * direction * prior)).all()
             low, high = (middle, high) if passes else (low, middle)
@@ -171,23 +171,23 @@ class AcceptancePlan:
 
 @dataclass(frozen=True)
 class AcceptancePrediction:
-    """Predicted outcome of the tests."""
+    """Predicted results of the tests."""
 
     errors: Floats
     sigma: Floats
-    """Expected errors and their standard deviations, noise included, (k, 2) [m]."""
+    """Expected errors and their standard deviations including noise, (k, 2) [m]."""
     passes: Floats
-    """Chance that each test is passed, (k,)."""
+    """Probability that each test passes, (k,)."""
     all_pass: float
-    """Chance that all are."""
+    """Probability that all tests pass."""
     group_passes: dict[str, float]
-    """Chance that all of a group are."""
+    """Probability that all tests of a group pass."""
 
 
-def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats:
-    """Displacement of front-face points (n, 3) [m] by each constant at `scale`, after a best fit, (3 n, p) [m].
+def point_errors_by_constant(construction: Construction, points: Floats, scale: Floats) -> Floats:
+    """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by each constant of size `scale`, after a best fit.
 
-    A common shift and turn of all points does no harm.
+    A rigid motion of all points is not counted.
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
@@ -195,11 +195,11 @@ def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats
         for s in np.diag(scale)
     ]
     moved = np.stack([c.ravel() for c in columns], axis=1)
-    return less_rigid(moved, points - points.mean(axis=0))
+    return without_rigid_motion(moved, points - points.mean(axis=0))
 
 
 def _root(covariance: Floats) -> Floats:
-    """A root (p, r) of a covariance that may be singular."""
+    """Root (p, r) of a possibly singular covariance matrix."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
@@ -207,7 +207,7 @@ def _root(covariance: Floats) -> Floats:
 def predicted(
     plan: AcceptancePlan, prediction: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
 ) -> AcceptanceFile:
-    """Predicted outcome of the tests of instrument `of`; `prior` (p,) [SI]: standard deviations of its constants."""
+    """Result for predicted tests of an instrument `of`; `prior` (p,) [SI] are standard deviations of its constants."""
     values, rms, largest = plan.worst_passing(prior, envelope())
     size = np.hypot(prediction.errors[:, 0], prediction.errors[:, 1])
     signed = np.where(plan.is_length, prediction.errors[:, 0], size)
@@ -235,7 +235,7 @@ def predicted(
     )
     chance = f"{100 * prediction.all_pass:.1f} %" if prediction.all_pass < 0.9995 else "more than 99.9 %"
     weakest = min(zip(prediction.passes, plan.tests, strict=True), key=lambda pair: pair[0])
-    sentence = f"{of} passes all {len(tests)} tests with a chance of {chance}"
+    sentence = f"{of} passes all {len(tests)} tests with a probability of {chance}"
     if weakest[0] < 0.9995:
         sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
     return AcceptanceFile(

@@ -1,4 +1,4 @@
-"""An acceptance file (ltsim-acceptance/1): which tests, what the maker permits, what is known of the instrument.
+"""Acceptance file (ltsim-acceptance/1): tests, manufacturer's limits, and information on the instrument.
 
 Tests are lengths and two-face targets in the instrument's frame (z up, its head at 0).
 """
@@ -17,23 +17,23 @@ from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.settings import checked, read_toml
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.recordings.specification import Specification, completed, sheet
+from ltsim.recordings.specification import Specification, completed_figures, sheet
 from ltsim.recordings.tables.sheets import table_rows
 
 Kind = Literal["length", "two-face"]
 COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-LENGTH = 2.3
+MIN_REFERENCE_LENGTH = 2.3
 """[m] Shortest reference length of ASME B89.4.19-2006."""
-NEAREST = 1.2
+NEAR_DISTANCE = 1.2
 """[m] Distance of the instrument from the reference length in the tests at the closest position."""
 Standard = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
 LENGTHS_OPEN: Standard = "iso-10360-10"
-"""The standard whose two-face tests alone are known from open texts; its lengths are read from a table."""
+"""Standard of which only the two-face tests are published openly; its lengths are read from a table."""
 
 
 @dataclass(frozen=True)
 class Test:
-    """A test position: a length between two points, or a target in both faces (second point equal to the first) [m]."""
+    """Test position: a length between two points, or a target in both faces (equal points) [m]."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
 
@@ -45,12 +45,12 @@ class Test:
 
 
 def asme(height: float, ranges: Sequence[float]) -> list[Test]:
-    """The tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
+    """Tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
 
     36 two-face tests (1, 3 and 6 m; on the floor, at the head's height, at twice that; every quarter turn), 33 lengths
     (horizontal, vertical and both diagonals at 3 and 6 m, every quarter turn, and one horizontal as close as can be)
-    and lengths along the line of sight from the first to each of the other `ranges` [m]. Two further lengths are the
-    person's own choice and not here.
+    and lengths along the line of sight from the first to each of the other `ranges` [m]. Two more lengths may be chosen
+    freely by the user and are not included.
 
     References
     ----------
@@ -59,7 +59,7 @@ def asme(height: float, ranges: Sequence[float]) -> list[Test]:
     """
     quarters = (0, 90, 180, 270)
     tests = list(_two_faces((1.0, 3.0, 6.0), height, quarters))
-    tests.append(_bar("horizontal", 0.0, NEAREST, 0))
+    tests.append(_bar("horizontal", 0.0, NEAR_DISTANCE, 0))
     for group, tilt in (("horizontal", 0.0), ("vertical", 90.0), ("right diagonal", 45.0), ("left diagonal", 135.0)):
         tests += [_bar(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
     near, *others = ranges
@@ -70,16 +70,16 @@ def asme(height: float, ranges: Sequence[float]) -> list[Test]:
 
 
 def iso_two_face(height: float) -> list[Test]:
-    """The 18 two-face tests of ISO 10360-10: 1.5 and 6 m, three heights, every third of a turn.
+    """Two-face tests (18) of ISO 10360-10: 1.5 and 6 m, three heights, every third of a turn.
 
-    Distances and number as makers state them (Leica AT500 user manual, 2.8.3: positions 1 to 9 at 1.5 m, 10 to 18
+    Distances and number are those of manufacturers (Leica AT500 user manual, 2.8.3: positions 1 to 9 at 1.5 m, 10 to 18
     at 6 m); the lengths of that standard are read from a table.
     """
     return list(_two_faces((1.5, 6.0), height, (0, 120, 240)))
 
 
 def _two_faces(distances: Sequence[float], height: float, turns: Sequence[int]) -> Iterator[Test]:
-    """Targets at horizontal distances, on the floor, level with the head and at twice its height."""
+    """Two-face tests at horizontal distances: on the floor, level with the head, and at twice its height."""
     for away in distances:
         for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
             for turn in turns:
@@ -88,15 +88,15 @@ def _two_faces(distances: Sequence[float], height: float, turns: Sequence[int]) 
 
 
 def _bar(group: str, tilt: float, away: float, turn: int) -> Test:
-    """A reference length, its middle level with the head and straight before it, tilted about the line of sight."""
-    half = LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
+    """Test with a reference length centred in front of the head at its height, tilted about the line of sight."""
+    half = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
     middle = np.array([away, 0.0, 0.0])
     ends = _turned(middle - half, turn), _turned(middle + half, turn)
     return Test(f"{group} {away:g} m {turn} deg", group, "length", *ends)
 
 
 def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
-    """A point turned about the vertical by an angle [deg]."""
+    """Point rotated about the vertical by an angle [deg]."""
     angle = np.radians(turn)
     x, y, z = point
     return (
@@ -107,15 +107,15 @@ def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
 
 
 def builtin(standard: Standard, height: float, ranges: Sequence[float]) -> list[Test]:
-    """The tests of a standard, as far as open texts say where they stand."""
+    """Tests of a standard, as far as they are published openly."""
     return asme(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face(height)
 
 
 @as_setup_error()
 def read_tests(file: Path) -> list[Test]:
-    """A plan of one's own: a table with the columns `COLUMNS`; a two-face test leaves its second point empty.
+    """Tests of a user's table with the columns `COLUMNS`; in a two-face test the second point is empty.
 
-    Raises SetupError: one sentence: row, column, what was found, what would be right.
+    Raises SetupError with row, column, value and expected value.
     """
     tests = [_test(row, line, file) for line, row in rows_of(file, COLUMNS)]
     if not tests:
@@ -124,7 +124,7 @@ def read_tests(file: Path) -> list[Test]:
 
 
 def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[tuple[int, dict[str, str]]]:
-    """Lines and rows of a table that a person wrote, with the columns that are `needed`; RecordError, SetupError."""
+    """Lines and rows of a user-written table with the columns `needed`; raises RecordError or SetupError."""
     header, rows = table_rows(file)
     missing = [name for name in needed if name not in header]
     if missing:
@@ -153,7 +153,10 @@ def _point(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float,
 
 
 def envelope() -> Floats:
-    """Points (180, 3) [m] all around an instrument: 1.5 to 9 m, 50 degrees down to 50 up, every 30 degrees."""
+    """Points (180, 3) [m] around an instrument.
+
+    Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
+    """
     azimuth, elevation, range_ = np.meshgrid(
         np.radians(np.arange(0, 360, 30)), np.radians((-50, -25, 0, 25, 50)), (1.5, 4.0, 9.0), indexing="ij"
     )
@@ -164,11 +167,11 @@ MOST = 10_000_000
 
 
 class Acceptance(TomlSection):
-    """The whole file. Names of other files are seen from this one.
+    """Contents of an acceptance file. Names of other files are relative to it.
 
     Without a `recording` or `measured` the tests are predicted: for the instrument of a `calibration`, or for any
-    instrument of the specification. With `measured` they are judged; with a `recording` its own network takes the place
-    of calibrated lengths.
+    instrument of the specification. With `measured` the errors are evaluated; with a `recording` its network replaces
+    calibrated lengths.
     """
 
     format: Literal["ltsim-acceptance/1"] = "ltsim-acceptance/1"
@@ -176,33 +179,39 @@ class Acceptance(TomlSection):
     title: str = ""
     """Free text."""
     standard: Standard | None = None
-    """A built-in plan of tests."""
+    """Built-in set of tests."""
     lengths: str | None = None
-    """Tests in addition to the built-in ones: a CSV with one row per test; `iso-10360-10` needs its lengths there."""
+    """Tests in addition to the built-in ones: a CSV with one row per test; `iso-10360-10` requires
+    its lengths there.
+    """
     tests: str | None = None
-    """A plan of one's own in place of a built-in one: a CSV with a row a test."""
+    """Tests in place of built-in ones: a CSV with one row per test."""
     instrument: str | None = None
-    """A built-in data sheet."""
+    """Name of a built-in data sheet."""
     specification: Specification | None = None
-    """The maker's limits in place of it; with an `instrument`, what the sheet leaves open or states otherwise."""
+    """Manufacturer's limits in place of a data sheet; with `instrument`, values that complete or replace those of the
+    sheet.
+    """
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Construction of the instrument: beam source in the head, or a steering mirror."""
     height_mm: Positive = 1500.0
-    """Height of the instrument's head above the floor [mm]; two-face tests: on the floor and at twice that height."""
+    """Height of the instrument's head above the floor [mm]; two-face tests are on the floor, at this height and at
+    twice it.
+    """
     ranges_m: Annotated[tuple[Positive, ...], Field(min_length=2)] = (2.0, 6.0, 12.0, 18.0, 24.0, 30.0)
-    """Lengths along the line of sight go from the first to each of the others."""
+    """Distances [m] of the points on the line of sight; lengths are from the first one to each other one."""
     calibration: str | None = None
     """Calibration of the instrument: a `calibration.json` or its folder."""
     corrected: bool = False
-    """The calibration is applied before the tests, so that its uncertainty remains."""
+    """True if the calibration is applied before the tests, so that only its uncertainty remains."""
     recording: str | None = None
-    """A network that the instrument measured: its own targets are the reference lengths."""
+    """Recording of a network measured by the instrument, whose targets provide reference lengths."""
     measured: str | None = None
-    """Errors that were found: a CSV with the columns test, error_um and U_um (may be empty)."""
+    """Measured errors: a CSV with the columns test, error_um and U_um (may be empty)."""
     trials: Annotated[int, Field(ge=1000, le=MOST)] = 20_000
-    """Draws behind the chance to pass."""
+    """Number of random draws for the probability to pass."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Root of the draws."""
+    """Root of the random draws."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -211,16 +220,16 @@ class Acceptance(TomlSection):
         if self.recording is None and (self.standard is None) == (self.tests is None):
             raise ValueError("it should give either standard or tests")
         if self.standard == LENGTHS_OPEN and self.lengths is None:
-            raise ValueError("it should give lengths = FILE: no open text says where those of iso-10360-10 stand")
+            raise ValueError("it should give lengths = FILE: ltsim has no positions for the lengths of iso-10360-10")
         if self.lengths is not None and self.standard is None:
-            raise ValueError("it should give lengths beside a standard only; tests holds a whole plan")
+            raise ValueError("it should give lengths only with a standard; tests already holds the whole plan")
         if self.recording is not None and self.measured is not None:
             raise ValueError("it should give recording or measured, not both")
         return self
 
     @property
     def limits(self) -> Specification:
-        """The maker's limits; raises SetupError when no built-in data sheet has the name, or it leaves one open."""
+        """Limits of the manufacturer; raises SetupError for an unknown data sheet or a missing limit."""
         if self.specification is not None:
             return self.specification
         try:
@@ -230,11 +239,11 @@ class Acceptance(TomlSection):
 
     @property
     def plan(self) -> str:
-        """Name of the plan: the standard, or the file of tests."""
+        """Name of the set of tests: the standard, or the file."""
         return self.tests or self.standard or ""
 
     def plan_of(self, folder: Path) -> tuple[Test, ...]:
-        """The tests, by files that lie in (or are named from) `folder`, or by the standard; raises SetupError."""
+        """Tests of the standard or of files relative to `folder`; raises SetupError."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests or "")))
         further = [] if self.lengths is None else read_tests(folder / self.lengths)
@@ -249,11 +258,11 @@ def load_acceptance(path: Path) -> Acceptance:
 
 @as_setup_error()
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
-    """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
+    """Validated tables of an acceptance file; `file` is named in errors. Raises SetupError."""
     name, specification = data.get("instrument"), data.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            data = {**data, "specification": completed(name, specification)}
+            data = {**data, "specification": completed_figures(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
     return checked(data, Acceptance, "acceptance file", file)

@@ -1,4 +1,4 @@
-"""The public function of acceptance tests, and errors that were measured against the limits of the maker."""
+"""Public function of acceptance tests, and evaluation of measured errors against the manufacturer's limits."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -17,7 +17,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar
-from ltsim.physics.model.construction import declared_construction, of_design
+from ltsim.physics.model.construction import construction_of_design, declared_construction
 from ltsim.recordings import read
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.recording import Recording
@@ -26,7 +26,7 @@ from ltsim.recordings.specification import Specification
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str | Path = ".") -> AcceptanceFile:
-    """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
+    """Acceptance tests of a tracker against its manufacturer's limits: prediction, or evaluation of measured errors.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
     if acceptance.recording is not None:
         recording = read(folder / acceptance.recording)
         result = by_network(recording, limits)
-        return judged(result, acceptance, recording=recording)
+        return evaluated_result(result, acceptance, recording=recording)
     tests = acceptance.plan_of(folder)
     nominal = limits.instrument(acceptance.construction)
-    built = of_design(acceptance.construction)
+    built = construction_of_design(acceptance.construction)
     if acceptance.measured is not None:
         plan = AcceptancePlan(tests, built, limits, nominal.noise)
         errors = read_measured(folder / acceptance.measured, tests, plan.limits)
-        return judged(errors, acceptance, remaining=len(tests) - len(errors))
+        return evaluated_result(errors, acceptance, remaining=len(tests) - len(errors))
     calibration = None if acceptance.calibration is None else _usable_calibration(folder / acceptance.calibration)
     built = built if calibration is None else calibration.construction
     prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
@@ -76,7 +76,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
         mean, covariance = calibration.values[0], calibration.covariance
-        of = "the instrument as it reads"
+        of = "the instrument without calibration"
         if acceptance.corrected:
             mean, of = mean - calibration.applied[0], "the corrected instrument"
     plan = AcceptancePlan(tests, built, limits, nominal.noise)
@@ -85,28 +85,28 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
 
 
 def _usable_calibration(path: Path) -> Calibration:
-    """Calibration of the instrument; raises SetupError where the file is of several instruments."""
+    """Calibration of the instrument; raises SetupError for a file of several instruments."""
     calibration = read_calibration(path)
     if len(calibration.instruments) > 1:
-        raise SetupError(f"{path}: is of {len(calibration.instruments)} instruments; the tests are of one")
+        raise SetupError(f"{path}: has {len(calibration.instruments)} instruments; an acceptance test needs one")
     return calibration
 
 
-RATIO = 4.0
-"""Limit over expanded uncertainty from which an error is accepted as it is (simple acceptance, ASME B89.7.3.1)."""
+MIN_UNCERTAINTY_RATIO = 4.0
+"""Smallest ratio of limit to expanded uncertainty for simple acceptance of an error (ASME B89.7.3.1)."""
 
 
 def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
-    """Entry of an error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where none is given."""
+    """Entry of an error with its limit [m]; `expanded` is its uncertainty (95 %), NaN if not given."""
     sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
     return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 
 
 @as_setup_error()
 def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
-    """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
+    """Errors of a CSV with the columns ``test``, ``error_um`` and (optionally) ``U_um``.
 
-    Raises SetupError when a test is none of the plan or stands there twice, or a field is no number.
+    Raises SetupError for a test that is unknown or repeated, and for a cell that is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
     entries: dict[str, TestEntry] = {}
@@ -115,7 +115,7 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
         if name not in place:
             raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
         if name in entries:
-            raise SetupError(f"{file}: row {line}: test '{shown(name)}' stands there twice; give its largest error")
+            raise SetupError(f"{file}: row {line}: test '{shown(name)}' has two rows; keep its largest error")
         numbers = [
             comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
             for name in ("error_um", "U_um")
@@ -130,18 +130,18 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
 
 
 def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
-    """Lengths of a network as each station reads them, against the network's own, and differences of two faces.
+    """Errors of lengths measured by each station, relative to the adjusted network, and differences between faces.
 
-    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what a
-    station reads between two targets, as read and in one face, is then compared with these. Raises NetworkError when
-    the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
+    The network is adjusted together with the instrument's constants, so that its lengths do not contain their errors.
+    The uncorrected lengths of each station in one face are compared with them. Raises NetworkError for a network with
+    one station, which has no independent lengths, and for one that cannot be adjusted.
 
     References
     ----------
     Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020) 108165.
     """
     if len(recording.stations) < 2:
-        raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
+        raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
     whole = recording.measured.all(axis=1) & ~adjustment.gross
@@ -162,7 +162,7 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
 
 
 def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
-    """Mean points (3,) [m] in the instrument's frame of the targets in some rows, as read."""
+    """Mean points (3,) [m] in the instrument's frame of the targets in some rows, uncorrected."""
     points = from_polar(recording.readings[rows])
     targets = recording.target[rows]
     return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
@@ -171,7 +171,7 @@ def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
 def _lengths(
     station: str, adjusted: Adjustment, mean_points: dict[int, Floats], specification: Specification
 ) -> list[TestEntry]:
-    """Every length between targets that a station has seen, against the network's, with the uncertainty of that."""
+    """Entries of all lengths between targets of a station, relative to the network, with their uncertainty."""
     names, points = adjusted.recording.targets, adjusted.state.points
     placed = [
         t for t in sorted(mean_points) if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
@@ -194,10 +194,10 @@ def _lengths(
 
 
 def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, direction: Floats) -> Floats:
-    """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of the placed targets.
+    """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of adjusted targets.
 
-    Both ends of a length have most of their errors in common (poses, constants), so their joint covariance is needed;
-    a length is the same in every datum.
+    The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
+    length does not depend on the datum.
     """
     unknowns, size = adjusted.problem.unknowns, len(placed)
     columns = unknowns.target[placed].ravel()
@@ -209,13 +209,13 @@ def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, d
     return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))
 
 
-def judged(
+def evaluated_result(
     tests: Sequence[TestEntry], acceptance: Acceptance, *, remaining: int = 0, recording: Recording | None = None
 ) -> AcceptanceFile:
-    """Errors that were found, against their limits; `left` tests of the plan have none."""
+    """Result for measured errors; `remaining` is the number of tests without one."""
     groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
     failed = sorted((t for t in tests if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6))
-    blunt = sum((t.expanded_um or 0.0) * RATIO > t.limit_um for t in tests)
+    blunt = sum((t.expanded_um or 0.0) * MIN_UNCERTAINTY_RATIO > t.limit_um for t in tests)
     sentence = f"all {len(tests)} errors are within their limits"
     if failed:
         w = failed[0]
@@ -226,9 +226,7 @@ def judged(
     if remaining:
         sentence += f"; {remaining} tests of the plan were not measured"
     if blunt:
-        sentence += (
-            f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
-        )
+        sentence += f"; for {blunt} the uncertainty exceeds a quarter of the limit, too much for a decision"
     content = AcceptanceFile(
         title=acceptance.title,
         kind="measured" if recording is None else "network",

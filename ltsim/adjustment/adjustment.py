@@ -40,43 +40,45 @@ from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import single_threaded
 
 MAX_TESTED_JOINTLY = 300
-"""Readings that do not fit, above which they are not tested one after another: it is the noise."""
+"""Number of poorly fitting readings above which they are not tested one after another, because the
+noise is then wrong.
+"""
 
 
 @dataclass(frozen=True)
 class FlaggedReading:
-    """A reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
+    """Reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
     row: int
     observable: int
     size: float
     w: float
     p_value: float
-    """Chance of one reading as far out, or farther, in the whole of a sound recording."""
+    """Probability that a recording without errors has a reading with as large a test statistic."""
 
 
 @dataclass(frozen=True, repr=False)
 class Adjustment(Result):
-    """An adjusted network."""
+    """Adjusted network: estimates, covariances, tests and warnings."""
 
     problem: NetworkProblem
     solution: Solution[State]
     gross: Bools
-    """Pointings that were left out because they miss their target by far, (n,)."""
+    """Flags of the pointings rejected as gross errors before the adjustment, (n,)."""
     components: tuple[Component, ...] = ()
-    """Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it."""
+    """Estimated noise of groups of readings, if requested; `problem.sigma` contains it."""
     unconnected: tuple[str, ...] = ()
-    """Targets that the whole recording does not place, amid the others in the state."""
+    """Targets that the recording does not determine; their places in the state have no meaning."""
     rejected_references: tuple[ReferenceTest, ...] = ()
-    """Known values that contradict the rest: they were left out, and `recording` states them no more."""
+    """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
     axis_tests: tuple[ReferenceTest, ...] = ()
-    """Tests of the coordinates that only define the axes, including those excluded from the datum."""
+    """Tests of the coordinates that only define the axes, including those removed from the datum."""
     duplicate_rows: int = 0
-    """Rows that repeat others to the last digit: their readings are not counted again."""
+    """Number of rows that repeat others in every digit and are not used."""
     causes: tuple[str, ...] = ()
-    """Simple causes that were identified and are in the model, in sentences."""
+    """Sentences on the simple causes that were identified and are in the model."""
     datum: InnerDatum | None = None
-    """Datum of the covariances where it is not that of the factor (the pose of the first station)."""
+    """Datum of the covariances; None for that of the factor (pose of the first station)."""
 
     def _lines(self) -> list[str]:
         return [
@@ -96,9 +98,9 @@ class Adjustment(Result):
         effects: Sequence[Signature] = (),
         prior: ParameterPrior | None = None,
     ) -> Adjustment:
-        """The adjustment that pointings will have when they are made: precision does not depend on readings.
+        """Adjustment of pointings that are planned: its precision does not depend on readings.
 
-        NetworkError when the pointings do not determine the poses and the targets that they reach.
+        Raises NetworkError if the pointings do not determine their poses and targets.
 
         Parameters
         ----------
@@ -123,7 +125,7 @@ class Adjustment(Result):
         except SingularSystemError:
             message = "the pointings do not determine all poses and targets; let stations share more targets"
             if not recording.measured[:, 1:].any():
-                message = "ranges alone want four stations off one plane and six targets, or known lengths"
+                message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None
         return cls(problem, solution, np.zeros(len(recording), dtype=bool))
 
@@ -139,7 +141,7 @@ class Adjustment(Result):
 
     @property
     def effects(self) -> tuple[Signature, ...]:
-        """The further effects that were estimated."""
+        """Additional effects that were estimated."""
         return self.problem.model.effects
 
     @property
@@ -149,7 +151,7 @@ class Adjustment(Result):
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of squares of readings, known lengths and priors."""
+        """Weighted sum of squared residuals of readings, reference values and priors."""
         return self.solution.cost
 
     @property
@@ -164,18 +166,21 @@ class Adjustment(Result):
 
     @property
     def p_value(self) -> float:
-        """Chance of a larger chi2 if model and stated noise hold."""
+        """Probability of a larger chi2 if the model and the declared noise are correct."""
         return float(special.chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
 
     def require_solution(self) -> None:
-        """ConvergenceError where there is no solution; NetworkError where its cause can be named."""
+        """Check that the network has a solution; raises ConvergenceError, or NetworkError if the cause is known."""
         why = "" if self.solution.converged else self._no_solution()
         if why:
             raise NetworkError(f"the adjustment did not converge; {why}")
         self.solution.require_success()
 
     def _no_solution(self) -> str:
-        """A scale without source, or a station whose shared targets lie on a line; empty for none."""
+        """Sentence on the cause of a missing solution: no scale, or a station with collinear common targets.
+
+        It is empty for none.
+        """
         recording, problem = self.recording, self.problem
         held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.mark_control)
         lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
@@ -202,7 +207,7 @@ class Adjustment(Result):
 
     @cached_property
     def projection(self) -> Projection:
-        """Projector of errors of the rows (readings, known lengths, priors, datum) onto the residual space."""
+        """Projector of errors of the rows (readings, reference values, priors, datum) onto the residual space."""
         return projection_of(self.solution.system, self.solution.factor)
 
     @cached_property
@@ -212,54 +217,58 @@ class Adjustment(Result):
 
     @cached_property
     def residuals(self) -> Floats:
-        """Observed minus adjusted readings (n, 3) [m, rad, rad]; NaN where not measured."""
+        """Observed minus adjusted readings (n, 3) [m, rad, rad]; NaN if not measured."""
         return self.problem.residuals(self.problem.model.predict(self.state))
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
+        """Redundancy numbers (n, 3), derivative of a residual with respect to an error of its reading.
+
+        It is NaN for unused readings.
+        """
         return redundancy_of(self.problem, self.factor)
 
     @cached_property
     def w(self) -> Floats:
-        """Normalised residuals (n, 3), standard normal where the model holds (Baarda 1968)."""
+        """Normalised residuals (n, 3), standard normal for a correct model (Baarda 1968)."""
         return normalised(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets(self) -> tuple[Ints, float, float]:
-        """Targets with a noise of their own, the scatter of their readings and of the others over the stated one."""
+        """Targets with larger noise than others, and the scatter of both groups of readings over the declared noise."""
         return noisy_groups(self.w, self.redundancy, self.recording.target)
 
     @cached_property
     def reference_tests(self) -> tuple[ReferenceTest, ...]:
-        """Tests of the known values, each against the rest of the network; those left out come first."""
+        """Tests of the reference values, each against the other observations; removed values come first."""
         return (*self.rejected_references, *reference_tests(self.problem, self.solution), *self.axis_tests)
 
     @property
     def undetermined_targets(self) -> tuple[str, ...]:
-        """Targets that were measured, but that the readings in use do not determine: the rest is adjusted."""
+        """Names of measured targets that the readings in use do not determine and that are not adjusted."""
         measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
         lost = self.problem.structure.unseen & (measured > 0)
         return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
 
     @property
     def undetermined_stations(self) -> tuple[str, ...]:
-        """Stations of whose pose the readings in use leave something open: it stays where the start had it."""
+        """Names of stations whose pose is partly undetermined; the undetermined part keeps its start value."""
         held = self.problem.structure.held_poses.any(axis=1)
         return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @cached_property
     def rejected(self) -> Bools:
-        """Readings left out, (n, 3) bool, other than those to targets that all usable readings leave undetermined."""
+        """Flags (n, 3) of the rejected readings, except to targets that all usable readings leave undetermined."""
         whole = drop_undetermined(replace(self.problem, use=self.recording.usable), self.state)
         return whole.use & ~self.problem.use
 
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
-        """Readings whose residual is too large for chance over the whole recording, the surest first.
+        """Readings whose residuals are too large for chance, over the whole recording, the most significant first.
 
-        One after another, as what one of them does to the residuals of others blames none of these; those that no test
-        tells from it are beside it. By the stated noise (w), or with sigma0 `estimated` from the residuals themselves
-        (tau): where some targets are `noisy_targets`, each that has readings enough by its own.
+        They are tested one after another, so that the effect of an outlier on other residuals does not count against
+        these; readings that no test distinguishes from an outlier are listed with it. The test uses the declared noise
+        (w), or sigma0 `estimated` from the residuals (tau); if there are `noisy_targets`, each with enough readings has
+        a separate sigma0.
         """
         use, target, count = self.problem.use, self.recording.target, int(self.problem.use.sum())
         whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
@@ -280,9 +289,9 @@ class Adjustment(Result):
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _shown(self, rows: Ints, columns: Ints) -> Floats:
-        """(k, k) What an error of each of some readings in use does to the residuals of all of them, in their sigmas.
+        """Effect (k, k) of an error of each of some readings in use on the residuals of all of them, in sigmas.
 
-        Of more than `MAX_TESTED_JOINTLY` nobody tells one from another: each is taken for itself.
+        More than `MAX_TESTED_JOINTLY` readings are treated independently.
         """
         use = self.problem.use
         if len(rows) > MAX_TESTED_JOINTLY:
@@ -299,7 +308,7 @@ class Adjustment(Result):
 
     @cached_property
     def reduced_covariance(self) -> Floats:
-        """Covariance (K, K) of poses, kept targets, instrument parameters and further effects."""
+        """Covariance (K, K) of the reduced unknowns: poses, some targets, instrument parameters, additional effects."""
         covariance = self.factor.reduced_covariance()
         if self.datum is None:
             return covariance
@@ -316,19 +325,19 @@ class Adjustment(Result):
 
     @cached_property
     def constants_covariance(self) -> Floats:
-        """Covariance (I p, I p) of the parameters of all instruments [SI], instrument after instrument."""
+        """Covariance (I p, I p) of the parameters of all instruments [SI], instrument by instrument."""
         return self.covariance_of(self.problem.unknowns.instrument.reshape(1, -1))[0]
 
     @property
     def extra_covariance(self) -> Floats:
-        """Covariance (q, q) of the further effects' parameters [SI]."""
+        """Covariance (q, q) of the parameters of additional effects [SI]."""
         return self.covariance_of(self.problem.unknowns.extra[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
         """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame.
 
-        NaN for what no reading in use determines and the adjustment holds.
+        It is NaN for unknowns that the readings in use do not determine and that are held fixed.
         """
         covariance = self.covariance_of(self.problem.unknowns.pose)
         held = self.problem.structure.held_poses
@@ -340,7 +349,7 @@ class Adjustment(Result):
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariance (T, 3, 3) [m^2] of each target; NaN where no reading in use tells it."""
+        """Covariance (T, 3, 3) [m^2] of each target; NaN if the readings in use do not determine it."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target), 3, 3))
         is_reduced = unknowns.target[:, 0] < unknowns.n_reduced
@@ -357,13 +366,13 @@ class Adjustment(Result):
 
     @cached_property
     def open_heights(self) -> Bools:
-        """Targets in plan only, that no reading gives a height, (T,)."""
+        """Flags (T,) of the targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
-        """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
+        """Adjustment with other additional effects, and with equal readings, weights and datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
         problem = replace(new, gauge=old.gauge, differences=old.differences, levels=old.levels, yaws=old.yaws)
@@ -371,9 +380,11 @@ class Adjustment(Result):
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
-        """The same state with covariances by inner constraints over some targets, by default all that are determined.
+        """Adjustment with covariances by inner constraints over some targets, default all determined ones.
 
-        ModelError when a target does not exist, or these do not hold the free motions.
+        Its state is unchanged.
+
+        Raises ModelError for an unknown target, and for targets that do not fix the free motions.
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
         datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)

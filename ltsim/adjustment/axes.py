@@ -1,8 +1,8 @@
-"""The hall's axes: a recording whose adjustment comes out in coordinates that a person names.
+"""Axes of the hall: a recording whose adjustment gives coordinates in axes that the user defines.
 
-Coordinates of some targets, or three targets that span the axes, become the datum of the recording: state, covariances
-and every result that follows stand in them, by inner constraints over these targets. The network's shape is not
-touched.
+Coordinates of some targets, or three targets that define the axes, become the datum of the recording: state,
+covariances and all results refer to it, by inner constraints over these targets. The shape of the network does not
+change.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,26 +22,29 @@ from ltsim.physics.model.measurement import verticals
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import shown
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import LEAST_SIGMA, Axes, Target
+from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 CLEARLY = 10.0
-"""Ratio of the median misses of stated coordinates and of their mirror image from which they are mirrored: right ones
-miss by the noise, a mirror image by the size of the network."""
+"""Ratio of the median misclosure of declared coordinates to that of their mirror image from which they are
+mirrored: correct ones have misclosures of the size of the noise, mirrored ones of the size of the network.
+"""
 SHAPE = 0.05
-"""Part of a network's size by which stated coordinates may miss it, as drawings do, and still be of this network."""
+"""Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
+nominal coordinates of a drawing).
+"""
 NOTHING: Mapping[str, Axes] = MappingProxyType({})
 
 
 def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
-    """The recording with its datum at stated coordinates [m] of targets; `adjust` leaves out those that do not fit.
+    """Recording with its datum at declared coordinates [m] of targets; `adjust` removes those that do not fit.
 
-    RecordError when fewer than three targets off one line are among them, or their shape is not that of the network:
-    mirrored, of another scale, or known points define the frame already.
+    Raises RecordError for fewer than three targets that are not collinear, for a shape that differs from the network
+    (mirrored, other scale), and if known points define the frame already.
     """
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
     if len(common) < 3:
-        message = f"holds {len(common)} of the recording's targets, expected three off one line or more"
+        message = f"contains {len(common)} of the recording's targets, expected at least three that are not on one line"
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
@@ -53,10 +56,10 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
 
 
 def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -> Recording:
-    """The recording with the plumb lines of a sphere at its levelled stations in the axes of points `there` (k, 3) [m].
+    """Recording with the plumb lines of a sphere at its levelled stations, in the axes of points `there` (k, 3) [m].
 
-    A plumb line says nothing of the axes of coordinates that stand anywhere on the sphere: the adjusted network, turned
-    to the points, says how its plumb lines lie there.
+    The axes of the coordinates may be anywhere on the sphere, so that plumb lines do not determine them; the adjusted
+    network, aligned to the points, gives the plumb lines in these axes.
     """
     adjusted = adjust(recording)
     at = np.array([recording.targets.index(name) for name in names])
@@ -72,7 +75,7 @@ def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -
 
 
 def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
-    """The recording in axes that three targets span: the origin, one on the x axis, one in the plane of x and y.
+    """Recording in axes defined by three targets: the origin, one on the x axis, one in the plane of x and y.
 
     Raises
     ------
@@ -92,7 +95,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     ahead = float(across @ along) / length if length else 0.0
     aside = float(np.linalg.norm(np.cross(along, across))) / length if length else 0.0
     if aside < 1e-3 * max(length, 1e-3):
-        raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three off it")
+        raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three that do not")
     places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
     held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
     framed = _with_datum(recording, places, held)
@@ -101,11 +104,11 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
 
 
 def with_control(recording: Recording, path: Path) -> Recording:
-    """The recording with the coordinates of a list as known ones, each with its standard deviation.
+    """Recording with the coordinates of a list as known ones, each with its standard deviation.
 
-    A list as of `read_points` with standard deviations; a coordinate that it leaves out is not known.
+    The list is read by `read_points` and needs standard deviations; a missing coordinate is not known.
 
-    RecordError for a malformed file, one without standard deviations, or one that names no measured target.
+    Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
     listed, targets, count = read_points(path, strict=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
@@ -113,9 +116,9 @@ def with_control(recording: Recording, path: Path) -> Recording:
         if name not in recording.targets or not is_given.any():
             continue
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
-        if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= LEAST_SIGMA):
-            message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
-            raise RecordError(f"{message}; coordinates without weight go with --frame", file=path, row=line)
+        if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
+            message = f"has no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            raise RecordError(f"{message}; give coordinates without weight by --frame", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
             "known_axes": "".join(axis for axis, is_given_axis in zip("xyz", is_given, strict=True) if is_given_axis),
@@ -124,7 +127,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
         targets[name] = targets.get(name, Target()).model_copy(update=update)
         count += 1
     if not count:
-        raise RecordError("names none of the recording's targets; names must be written alike", file=path)
+        raise RecordError("contains none of the recording's targets; the spelling must be the same", file=path)
     note = f"{count} control points of {path.name}, each with its standard deviation"
     setup = recording.setup.model_copy(update={"targets": targets})
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, note))
@@ -137,12 +140,15 @@ def _require_free_frame(recording: Recording, source: str | None = None) -> None
 
 
 def _check_shape(here: Floats, there: Floats, source: str) -> None:
-    """Refuse coordinates (k, 3) on a line, of another scale or handedness than the network `here`."""
+    """Check that coordinates (k, 3) are not collinear and have the scale and handedness of the network `here`.
+
+    Raises RecordError.
+    """
     mirror = here * [1.0, 1.0, -1.0]
     try:
         motions = robust_align(here, there), robust_align(mirror, there)
     except NetworkError:
-        raise RecordError("its targets lie on one line, expected three off it or more", file=source) from None
+        raise RecordError("its targets lie on one line, expected at least three that do not", file=source) from None
     typical = float(np.median(misses(here, there, motions[0])))
     is_mirrored = float(np.median(misses(mirror, there, motions[1]))) * CLEARLY < typical
     pairs = np.triu_indices(len(here), 1)
@@ -153,7 +159,7 @@ def _check_shape(here: Floats, there: Floats, source: str) -> None:
     if abs(scale - 1.0) > SHAPE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)
-    why = "they are left-handed" if is_mirrored else "is it another hall, or other names?"
+    why = "they are left-handed" if is_mirrored else "check the hall and the names"
     message = f"its coordinates do not fit the network by {typical / MILLIMETRE:.3g} mm in the median: {why}"
     raise RecordError(message, file=source)
 
@@ -161,7 +167,7 @@ def _check_shape(here: Floats, there: Floats, source: str) -> None:
 def _with_datum(
     recording: Recording, places: Mapping[str, Floats], held: Mapping[str, Axes] = NOTHING, source: str | None = None
 ) -> Recording:
-    """The recording with its datum at these places, each along the axes of `held` (default all)."""
+    """Recording with its datum at these places, each along the axes `held` (default all)."""
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
     for name, place in places.items():
         x, y, z = (place / MILLIMETRE).tolist()

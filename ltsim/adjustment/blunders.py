@@ -1,8 +1,8 @@
-"""Gross errors explained: swapped reflectors, wrong units, mixed-up faces, single bad readings.
+"""Identification of gross errors: exchanged reflectors, wrong units, wrong faces, single readings.
 
-A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the mistakes
-people make; what a mistake explains can be mended, the rest is left out. Whole stations in another unit, convention or
-face are seen before anything is adjusted: their cloud of points has not the shape that other stations saw.
+A pointing with an error of millimetres or more is compared with typical blunders. One that a blunder explains can be
+corrected; others are rejected. Whole stations in another unit, convention or face are detected before the adjustment,
+because the shape of their points differs from that of other stations.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -28,37 +28,37 @@ from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 CLOSE = 1e-3
 """[m] Largest distance of a corrected pointing from its target."""
 ASIDE = 0.002
-"""Share of a height that a pointing may land aside: nothing else comes down so straight."""
+"""Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
 MOST_ROWS = 6
-"""Rows that a sentence lists at most."""
+"""Largest number of rows in a sentence."""
 WRONG_SHAPE = 5e-3
-"""[m] Median misfit of two stations' points that neither a tracker error nor a single blunder causes."""
+"""Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
 
 
 @dataclass(frozen=True)
 class GrossFinding:
-    """A mistake found in some pointings."""
+    """Blunder that was identified in some pointings."""
 
     effect: str
-    """target-swap, wrong-unit, face-confusion or outlier."""
+    """Kind of the blunder: target-swap, wrong-unit, face-confusion or outlier."""
     rows: Ints
-    """(k,)."""
+    """Indices of the pointings, (k,)."""
     stations: tuple[str, ...]
     targets: tuple[str, ...]
     observables: tuple[str, ...]
     size: float
-    """Displacement [m], or the reading's error for an outlier."""
+    """Displacement [m], or the error of the reading for an outlier."""
     sentence: str
     sigma: float = 0.0
-    """Standard deviation of the size [m], where the network determines it; else 0."""
+    """Standard deviation of the size [m]; 0 if the network does not determine it."""
 
 
 Correction = tuple[GrossFinding, Floats, Ints]
-"""A mistake, and what the readings (k, 3) and targets (k,) of its rows should be."""
+"""Blunder, and the corrected readings (k, 3) and targets (k,) of its rows."""
 
 
 def apply_corrections(recording: Recording, understood: Sequence[Correction]) -> Recording:
-    """The recording with mistakes mended."""
+    """Recording with corrected blunders."""
     if not understood:
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
@@ -68,7 +68,7 @@ def apply_corrections(recording: Recording, understood: Sequence[Correction]) ->
 
 
 def detect_blunders(adjustment: Adjustment) -> list[Correction]:
-    """Mistakes that explain pointings which an adjustment screened out: mended, they land on their target."""
+    """Blunders that explain pointings rejected by an adjustment: after correction they agree with their targets."""
     remaining, corrections = adjustment.gross.copy(), []
     for kind in (_swaps, _heights, _slips):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
@@ -78,7 +78,7 @@ def detect_blunders(adjustment: Adjustment) -> list[Correction]:
 
 
 def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) in the network frame that readings (k, 3) in place of those of some rows (k,) say of targets."""
+    """Points (k, 3) of targets in the network frame from readings (k, 3) in place of those of some rows (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local = adjustment.construction.point(readings, adjustment.state.instrument[instrument])
     turned = np.einsum("nij,nj->ni", adjustment.state.rotation[station], local)
@@ -88,13 +88,13 @@ def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
 
 
 def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Distances (k,) [m] from the targets of the points that these readings (k, 3) give."""
+    """Distances (k,) [m] between the targets and the points of these readings (k, 3)."""
     goal = adjustment.state.points[adjustment.recording.target[rows]]
     return np.asarray(np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1))
 
 
 def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
-    """Pairs of targets that were exchanged at a station (or one that was taken for another)."""
+    """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
     recording, points = adjustment.recording, adjustment.state.points
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
@@ -119,14 +119,14 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
             booked_name, meant = names if booked[0] == a else names[::-1]
             numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
             sentence = (
-                f"At station {station} what is booked as {booked_name} (row {numbers}) is {meant}, {gap:.2f} m away."
+                f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
             )
         finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
         yield finding, recording.readings[at[members]], nearest[members]
 
 
 def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
-    """Pointings that land right above or below their target: a height of target or instrument that is not that."""
+    """Pointings directly above or below their target, which indicates a wrong height of target or instrument."""
     recording = adjustment.recording
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
@@ -148,8 +148,8 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
         numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
         where = "above" if size > 0 else "below"
         sentence = (
-            f"From station {station} the pointing to {target} (row {numbers}) lands {abs(size) / MILLIMETRE:.1f} mm "
-            f"{where} it: a height of the target or the instrument that was not stated so."
+            f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
+            f"{where} the target: the height of the target or the instrument is wrong."
         )
         rows_ = at[members]
         finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)
@@ -157,7 +157,7 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
 
 
 def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
-    """Pointings in another unit or of the other face; what is found leaves `rows` before the next is asked for."""
+    """Pointings in another unit or on the other face; identified rows are removed from `rows` before the next step."""
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
@@ -169,21 +169,21 @@ def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
             size = float(_misses(adjustment, recording.readings[at], at).max())
             where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
-            sentence = f"{len(at)} pointings at station {where} hold {slip.cause}."
+            sentence = f"{len(at)} pointings at station {where} contain {slip.cause}."
             observables = tuple(OBSERVABLES[c] for c in slip.columns)
             finding = GrossFinding(effect, at, stations, targets, observables, size, sentence)
             yield finding, readings[at], recording.target[at]
 
 
 def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
-    """Correction stations that were recorded in another unit or convention.
+    """Recording in which stations in another unit or convention are corrected, and the blunders.
 
     Returns
     -------
     recording : Recording
-        With their readings converted.
+        With converted readings.
     findings : list of GrossFinding
-        One a station; empty where every shape agrees or nothing explains the difference.
+        One per station; empty if all shapes agree or no blunder explains the difference.
     """
     findings: list[GrossFinding] = []
     odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE)
@@ -206,7 +206,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
 
 
 def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
-    """Finding for two stations whose networks are mirror images: either of them may have its azimuths clockwise."""
+    """Blunder of two stations whose networks are mirror images: one of them may have clockwise azimuths."""
     readings = recording.readings.copy()
     rows = np.flatnonzero(recording.station == 1)
     readings[rows, 1] *= -1.0
@@ -218,15 +218,15 @@ def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
 
 
 def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
-    """Put pointings into the face that their raw elevations show, where the stored one is another.
+    """Recording with faces corrected according to the raw elevations, and the blunders.
 
-    Where most pointings of face 2 read like face 1, that is how the file states elevations, and nobody's mistake.
+    If most pointings of face 2 have elevations of face 1, this is a convention of the file and no blunder.
 
     Returns
     -------
     recording : Recording
     findings : list of GrossFinding
-        One a station.
+        One per station.
     """
     shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
     wrong = recording.usable[:, 2] & (shown != recording.face)
@@ -251,7 +251,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
 def _misfit(recording: Recording, stations: Collection[int] | None = None) -> Floats:
     """Median over the other stations of the median misfit (S,) [m] of two clouds; 0 without common targets.
 
-    By default of all stations; of others than those of `stations` only the pairs with these count.
+    By default all pairs count; with `stations` only the pairs with one of these.
     """
     pairs, count = Pairs.of(recording), len(recording.stations)
     cloud = np.full((count, len(recording.targets), 3), np.nan)

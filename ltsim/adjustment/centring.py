@@ -1,8 +1,8 @@
-"""Centring errors: marks that an instrument or a target re-occupied on another day at a displaced point.
+"""Centring errors: marks on which an instrument or target was set up again, on another day, at a displaced point.
 
-All set-ups over a mark, and all targets on it, count as one point. An occupation is what stood there on one day as
-instrument, or as target; a shift of its own joins the adjustment where that explains far more than the noise found
-does, one after the other. Readings of targets with a noise of their own count by that.
+All set-ups over a mark, and all targets on it, count as one point. An occupation is the use of a mark on one day by an
+instrument, or by a target. A separate shift for an occupation is added to the adjustment, one after the other, if it
+explains far more than the estimated noise. Readings of noisy targets are weighted by their estimated noise.
 """
 
 from dataclasses import dataclass, replace
@@ -22,18 +22,18 @@ from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
 DAY = 86_400.0
-"""[s]"""
+"""Length [s] of a day."""
 MOST = 6
-"""Centring errors that are estimated at most: a network with more is measured again."""
+"""Largest number of estimated centring errors: a network with more has to be measured again."""
 MOVED = "target-moved"
-"""Catalogue effect of a centring error: the equipment on a mark moved."""
+"""Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 
 
 @dataclass(frozen=True)
 class Occupation:
-    """Instrument or target over a mark on one day.
+    """Occupation of a mark by an instrument or target on one day.
 
-    `sign` (n,): +1 for pointings to it, -1 for those from it, which see the contrary shift.
+    `sign` (n,) is +1 for pointings to it and -1 for those from it, for which the shift has the opposite sign.
     """
 
     mark: str
@@ -44,11 +44,11 @@ class Occupation:
 
 @dataclass(frozen=True)
 class CentringErrors:
-    """Centring errors of occupations: shifts (k, 3) and covariances (k, 3, 3) [m], and the fit with them.
+    """Centring errors of occupations: shifts (k, 3) and covariances (k, 3, 3) [m], and the adjustment with them.
 
-    In plan alone, (k, 2) and (k, 2, 2), where heights of heads are observations.
+    If heights of heads are observations, shifts are in plan only, (k, 2) and (k, 2, 2).
 
-    `without` is the adjustment that knows no such shifts.
+    `without` is the adjustment without them.
     """
 
     without: Adjustment
@@ -62,7 +62,7 @@ class CentringErrors:
 
     @property
     def sizes(self) -> list[tuple[float, float]]:
-        """Size of each shift from the usual place, and its standard deviation [m]."""
+        """Size of each shift and its standard deviation [m]."""
         lengths = np.linalg.norm(self.values, axis=1)
         sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.values, self.covariance, self.values)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
@@ -89,7 +89,7 @@ class CentringErrors:
 
 
 def days_of(recording: Recording) -> tuple[str, ...]:
-    """The day of each pointing as it is written, or counted by the clock; empty where neither tells days apart."""
+    """Day of each pointing as written in the recording, or counted by the clock; empty without days."""
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
     if not recording.has_clock or np.ptp(recording.time) < DAY:
@@ -98,7 +98,7 @@ def days_of(recording: Recording) -> tuple[str, ...]:
 
 
 def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation]:
-    """The occupations of all marks that were occupied on several days; `marks` (S,) under the stations."""
+    """Occupations of all marks that were occupied on several days; `marks` (S,) are the marks under the stations."""
     days = np.array(days_of(recording))
     if len(set(days.tolist())) < 2:
         return []
@@ -117,7 +117,7 @@ def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation
 
 
 def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
-    """Centring errors of a network; None where there are none or where the global test passes without them."""
+    """Centring errors of a network; None if there are none, or if the global test passes without them."""
     if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_LEVEL:
         return None
     candidates = occupations(adjustment.recording, adjustment.problem.marks.names)

@@ -1,7 +1,8 @@
-"""The datum by inner constraints over chosen points: state and covariances that favour none of them.
+"""Datum by inner constraints over selected points: state and covariances that treat these points equally.
 
-What no observation determines (the free rigid motions) is tied to the mean of the chosen points, at their approximate
-coordinates where those are stated. Of all datums this one gives the chosen points the smallest trace of covariance.
+The free rigid motions, which no observation determines, are fixed by the mean of the selected points, at their
+approximate coordinates if these are declared. This datum has the smallest trace of the covariance of the selected
+points.
 """
 
 from __future__ import annotations
@@ -18,29 +19,29 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.model.measurement import State
-from ltsim.solve.design import FORMED, unit_diagonal
+from ltsim.solve.design import NORMAL_RANK_TOLERANCE, unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
 PASSES = 5
-"""Steps of the free motion to the datum at most: each is linear in the rotation, and they converge quadratically."""
+"""Largest number of steps of the free motion to the datum: each is linear in the rotation; convergence is quadratic."""
 
 
 @dataclass(frozen=True)
 class Tied:
-    """Points that a datum is tied to."""
+    """Points that define a datum."""
 
     columns: Ints
-    """(k, 3): their columns in the vector of unknowns."""
+    """Columns (k, 3) of the points in the vector of unknowns."""
     places: Floats
     """Coordinates (k, 3) [m] of the points."""
     approximate: Floats
-    """Approximate coordinates, NaN where none are stated and along axes that do not count, (k, 3) [m]."""
+    """Approximate coordinates (k, 3) [m]; NaN if not declared, and along axes outside the datum."""
     counts: Bools
-    """Coordinates that the datum is tied to, (k, 3)."""
+    """Flags (k, 3) of the coordinates that define the datum."""
 
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
-        """The points of these names: targets, or marks under set-ups."""
+        """Datum points by name: targets, or marks under set-ups."""
         recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
         stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
@@ -63,14 +64,14 @@ class Tied:
 
 
 def chosen_datum(problem: NetworkProblem) -> tuple[str, ...]:
-    """Names of the points that the set-up chose for the datum and that the recording reaches."""
+    """Names of the measured points that the set-up selects for the datum."""
     recording = problem.model.recording
     reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.names)])
     return tuple(name for name in reached if recording.target_setup(name).datum)
 
 
 def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
-    """The state moved freely to the stated coordinates of the datum's points, and by which angle [rad] and scale."""
+    """State moved rigidly to the declared coordinates of the datum points, with the rotation angle [rad] and scale."""
     turned = 0.0
     for _ in range(PASSES):
         tied = Tied.of(problem, state, names)
@@ -98,9 +99,9 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
 
 @dataclass(frozen=True)
 class InnerDatum:
-    """An S-transformation of covariances: C' = C - G U^T - U G^T + G M G^T.
+    """S-transformation of covariances to an inner datum: C' = C - G U^T - U G^T + G M G^T.
 
-    That is S C S^T with S = I - G (B^T G)^-1 B^T, where B are the rows of G that the datum ties.
+    This equals S C S^T with S = I - G (B^T G)^-1 B^T, where B are the rows of G of the datum points.
 
     References
     ----------
@@ -109,34 +110,34 @@ class InnerDatum:
     """
 
     motion: Floats
-    """Matrix g of the free motions of all unknowns, (u, f)."""
+    """Matrix G of the free motions of all unknowns, (u, f)."""
     carried: Floats
-    """Matrix u, (u, f)."""
+    """Matrix U of the transformation, (u, f)."""
     middle: Floats
-    """Matrix m, (f, f)."""
+    """Matrix M of the transformation, (f, f)."""
     names: tuple[str, ...] = ()
-    """The points it is tied to."""
+    """Names of the datum points."""
 
     @classmethod
     def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:
-        """The datum that ties motions (u, f) to some unknowns; `spread` multiplies with the covariance (u, u).
+        """Datum in which some unknowns fix the motions (u, f); `spread` multiplies with the covariance (u, u).
 
-        ModelError when these unknowns do not hold the motions.
+        Raises ModelError if these unknowns do not fix the motions.
         """
         held = np.zeros_like(motion)
         held[columns.ravel()] = motion[columns.ravel()]
         square = held.T @ motion
-        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > FORMED:
-            raise ModelError("these targets do not define a datum: choose at least three off one line")
+        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
+            raise ModelError("these targets do not define a datum: choose at least three that are not on one line")
         back = np.linalg.inv(square)
         response = spread(held)
         return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
 
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, factor: BlockFactor, names: Sequence[str]) -> InnerDatum | None:
-        """The datum tied to some points; None where no motion is free.
+        """Datum of some points; None if no motion is free.
 
-        ModelError when these points do not hold the free motions.
+        Raises ModelError if these points do not fix the free motions.
         """
         if not problem.free.shape[1]:
             return None
@@ -151,7 +152,7 @@ class InnerDatum:
         return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
 
     def transformed(self, covariance: Floats, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of sets of unknowns (c, k), moved to this datum from that of `spread`."""
+        """Covariances (c, k, k) of sets of unknowns (c, k), transformed to this datum from that of `spread`."""
         motion, carried = self.motion[columns], self.carried[columns]
         across = motion @ np.swapaxes(carried, 1, 2)
         middle = motion @ self.middle @ np.swapaxes(motion, 1, 2)
@@ -159,9 +160,9 @@ class InnerDatum:
 
 
 def _growth(problem: NetworkProblem) -> Callable[[Floats], Floats]:
-    """Displacements of places by a unit change of scale, as a function of their arms (k, 3) from the centre.
+    """Displacements of places by a unit change of scale, as a function of their vectors (k, 3) from the centre.
 
-    Their shape is (3 k, 1), or (3 k, 0) where the scale is determined. The heights of a network in plan do not change.
+    Their shape is (3 k, 1), or (3 k, 0) if the scale is determined. Heights of a network in plan do not change.
     """
     axes = np.array([1.0, 1.0, float(problem.use[:, 2].any())])
     return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale)))

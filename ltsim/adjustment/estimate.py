@@ -1,4 +1,4 @@
-"""Network adjustment of a recording: start, gross errors, least squares, noise, datum."""
+"""Network adjustment of a recording: start values, gross errors, least squares, noise, datum."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -20,6 +20,7 @@ from ltsim.adjustment.stochastic_model import Component, Grouping, estimated_com
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
+from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rigid import rigid_motion
@@ -34,7 +35,9 @@ TURNED = 1e-7
 """Rotation [rad] into the datum above which the network is linearised again."""
 
 SIDEWAYS = 1e-6
-"""Tolerance (relative offset per radian) below which a free rotation is taken not to move the SMR offset."""
+"""Largest sideways motion per radian, relative to the offset, at which a free rotation does not change the offset of an
+SMR.
+"""
 
 
 @refusing_singular
@@ -54,7 +57,7 @@ def adjust(
     prior: ParameterPrior | None = None,
     judging: Collection[Kind] = KINDS,
 ) -> Adjustment:
-    """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
+    """Network adjustment: targets, poses, and the parameters of `construction` and `effects`.
 
     Parameters
     ----------
@@ -62,9 +65,9 @@ def adjust(
     construction : Construction, optional
         Default: an ideal tracker without parameters.
     effects : sequence of Signature
-        Further effects to estimate, free but for `held_to`.
+        Additional effects to estimate, free except for `held_to`.
     sigma : (n, 3) float, optional, [m, rad, rad]
-        Standard deviations of the readings; default the stated noise.
+        Standard deviations of the readings; default the declared noise.
     use : (n, 3) bool, optional
         Readings to use; default all.
     start : State, optional
@@ -93,11 +96,13 @@ def adjust(
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest, a station measures the target that it stands on, or SMRs
-        of several radii stand off along normals in whose frame nothing holds the network.
+        When the readings do not tie a station to the rest, a station measures the target that it stands on, SMRs
+        of several radii stand off along normals in whose frame nothing holds the network, or the pointings
+        are more than `ADJUSTED_POINTINGS`.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
+    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     built, copied = construction or ideal(), copied_rows(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
@@ -139,7 +144,7 @@ def adjust(
 
 
 def _check_marks(recording: Recording) -> None:
-    """NetworkError where a set-up measures the mark under its own head: at range zero there is no direction."""
+    """Check that no set-up measures the mark below its own head, at range zero; raises NetworkError."""
     if not any(recording.station_setup(name).over for name in recording.stations):
         return
     marks = Marks.of(recording)
@@ -150,12 +155,12 @@ def _check_marks(recording: Recording) -> None:
         station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
         raise NetworkError(
             f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
-            "state its instrument height or take the row out"
+            "declare its instrument height or remove the row"
         )
 
 
 def _over_wrong_marks(recording: Recording, gross: Bools) -> Bools:
-    """(n,) True for the pointings of a set-up over a mark most of which miss: its height or its mark may be wrong."""
+    """Flags (n,) of the pointings of set-ups over marks with mostly gross errors: their mark or height may be wrong."""
     count = len(recording.stations)
     over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
@@ -163,15 +168,15 @@ def _over_wrong_marks(recording: Recording, gross: Bools) -> Bools:
 
 
 def _check_normals(problem: NetworkProblem) -> None:
-    """NetworkError where a motion that nothing observes would turn SMRs of other radii about their targets."""
+    """Check that no undetermined motion rotates the offsets of SMRs of other radii; raises NetworkError."""
     off = smr_lift(problem.model.recording)
     if off is None:
         return
     turned = np.cross(problem.free[3:].T[:, None], off[None])
     if np.any(np.abs(turned) > SIDEWAYS * np.abs(off).max()):
         raise NetworkError(
-            "SMRs of several radii stand off along the normals of their nests, and nothing holds this network in the "
-            "frame of these: state three known points (known_mm), or levels where all such normals are vertical"
+            "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
+            "normals: declare three known points (known_mm), or levels where all such normals are vertical"
         )
 
 
@@ -180,15 +185,15 @@ def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solu
 
 
 def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustment:
-    """The adjustment with state and covariances in the datum of chosen targets, or of those that the set-up states.
+    """Adjustment with state and covariances in the datum of selected targets, or of those in the set-up.
 
-    Of the latter only those count that the readings determine; where they only give axes, they are tested first.
+    Of the targets in the set-up only the determined ones are used; if they only define axes, they are tested first.
     """
     problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
     names = [name for name in chosen_datum(problem) if name not in lost] if chosen is None else list(chosen)
     for name in chosen or ():
         if name in lost:
-            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
+            raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
     if not names or solution.factor is None or not problem.free.shape[1]:
         return adjustment
     if adjustment.recording.setup.axes and chosen is None and len(names) >= LEAST:
@@ -205,19 +210,19 @@ def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustmen
 
 
 GROSS, CLEARLY = 2e-3, 10.0
-"""Miss [m], and in medians, of the axes that most points ask for, from which a point begins outside."""
+"""Misclosure [m], and ratio to the median, in the axes of most points above which a point starts outside the datum."""
 LEVEL = 0.02
-"""Significance level: probability that any point of an error-free fit is excluded."""
+"""Significance level: probability that any point of an error-free set is excluded."""
 LEAST = 3
-"""Points that define axes."""
+"""Smallest number of points that define axes."""
 
 
 def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
-    """The recording with its datum at the points that agree about the axes, and the test of each point.
+    """Recording with its datum at the points that agree about the axes, and the test of each point.
 
-    Each is tested by what the others say: what it misses their axes by is compared with the network's own uncertainty
-    there and the scatter that the others show. A point that the others contradict is left out; where they alone would
-    leave the axes open, it keeps the part that they do not check.
+    Each point is tested against the others: its misclosure in their axes is compared with the uncertainty of the
+    network there and with the scatter of the others. A contradicting point is excluded; if the others alone do not
+    determine the axes, it remains for the part that they do not check.
     """
     recording = adjustment.recording
     declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
@@ -246,7 +251,7 @@ def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording
 
 
 def _axes_tests(adjustment: Adjustment, names: Sequence[str], declared: Floats, use: Bools) -> list[ReferenceTest]:
-    """Each point, stated (k, 3), by what the points in use (k,) say without it."""
+    """Test of each point with declared coordinates (k, 3) against the points in use (k,) without it."""
     chosen = [name for name, used in zip(names, use, strict=True) if used]
     adjusted = adjustment.in_inner_datum(chosen)
     at = [adjusted.recording.targets.index(name) for name in names]
@@ -267,9 +272,9 @@ def _axes_tests(adjustment: Adjustment, names: Sequence[str], declared: Floats, 
 def _test(
     name: str, gap: Floats, covariance: Floats, held: Floats, *, used: bool, rest: tuple[float, int, float]
 ) -> ReferenceTest:
-    """Test of a point with misclosure `gap` (3,) and `covariance` (3, 3) in the network; `held` its share in the axes.
+    """Test of a point with misclosure `gap` (3,) and `covariance` (3, 3); `held` is its share in the axes.
 
-    With R = 1 - `held` of a point in use, its residual is R times its error; another shows its error whole.
+    With R = 1 - `held`, the residual of a point in use is R times its error; that of another point is its full error.
     """
     share, turned = np.linalg.eigh(np.eye(3) - held if used else np.eye(3) + held)
     is_checked = share > UNCHECKED

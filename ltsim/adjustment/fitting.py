@@ -1,7 +1,7 @@
 """Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, plans of directions.
 
-Used only where a station or a target cannot be had in closed form: bearings without ranges, ranges without bearings, a
-level, a known mark. Small fits run from many starts at once, and the best is taken.
+They are used if a station or target has no closed-form solution: bearings without ranges, ranges without bearings, a
+level, a known mark. Small fits run from many starts at once, and the best result is used.
 """
 
 from __future__ import annotations
@@ -18,42 +18,46 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
 
 LEAST_DAMPING = 1e-10
-"""Damping, relative to the diagonal of the normal equations, that keeps them regular where a direction is open."""
+"""Smallest damping, relative to the diagonal of the normal equations, which keeps them regular for undetermined
+directions.
+"""
 ITERATIONS = 60
-"""Steps of a damped fit at most: a start from which it takes longer is not followed."""
+"""Largest number of steps of a damped fit; slower starts are abandoned."""
 SAME = 1e-3
-"""Solutions closer than this [m, rad] are one."""
+"""Distance [m, rad] below which two solutions count as equal."""
 CLEARLY = 4.0
-"""A solution is clear when the next best one is this many times worse (in standard deviations, squared)."""
+"""Smallest ratio of the second-best to the best sum of squares at which a solution is unique."""
 WORST = 300.0
-"""[standard deviations, rms]: approximate coordinates that fit worse than this are none."""
+"""Largest rms misfit of approximate coordinates, in standard deviations; worse ones are not used."""
 BEST = 150
-"""Starts that are followed: those that fit best."""
+"""Number of starts that are iterated: those with the best fit."""
 MOST_STARTS = 400
-"""Starts that are tried at most (cost)."""
+"""Largest number of starts (cost)."""
 ROUND = np.arange(8) * np.pi / 4
 GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
-"""Search grids for the coordinates of a point that were not read: range [m], azimuth, elevation [rad]."""
+"""Grids of start values for unmeasured coordinates of a point: range [m], azimuth, elevation [rad]."""
 LEAST_RANGES = 10
-"""Targets from which ranges alone give a network: differences to one of them determine nine coefficients of a frame."""
+"""Smallest number of targets for a network of ranges only: their differences determine nine coefficients of a frame."""
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""Residuals (b, m) at places (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by what is free."""
+"""Function for residuals (b, m) at positions (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by the free
+unknowns.
+"""
 
 
 def fit_pose(
     sight: Sight, points: Floats, *, level: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) and rotation (3, 3) of a station that sees known points (k, 3); None where that is not clear.
+    """Position (3,) and rotation (3, 3) of a station that measured known points (k, 3); None if it is not unique.
 
     Parameters
     ----------
     sight, points
-        What was read, and the points it was read to.
+        Readings, and the points that they belong to.
     level : bool
-        The vertical axis is that of the network.
+        True if the standing axis is vertical in the network.
     position : (3,) float, optional, [m]
-        Where the station stands, if that is known.
+        Position of the station, if known.
     """
     rows, sight = sight.few()
     points = points[rows] + sight.lift
@@ -80,7 +84,7 @@ def fit_pose(
 
 
 def fit_point(sight: Sight, position: Floats, rotation: Floats) -> Floats | None:
-    """A point (3,) seen from known stations at `position` (k, 3), `rotation` (k, 3, 3); None where not clear."""
+    """Point (3,) measured from known stations at `position` (k, 3), `rotation` (k, 3, 3); None if it is not unique."""
     rows, sight = sight.few()
     rotation, lifted = rotation[rows], position[rows] - sight.lift
     if sight.count < 3:
@@ -99,7 +103,7 @@ def fit_point(sight: Sight, position: Floats, rotation: Floats) -> Floats | None
 
 
 def _clearest(count: int, around: Floats, solutions: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats] | None:
-    """The first of the solutions, sorted by cost, where it is good and the only one as good, for `count` readings."""
+    """Best solution, if it fits well and no other fits nearly as well, for `count` readings; else None."""
     cost, x, rotation = solutions
     if not cost[0] < WORST**2 * count:
         return None
@@ -110,7 +114,7 @@ def _clearest(count: int, around: Floats, solutions: tuple[Floats, Floats, Float
 
 
 def _descend(evaluate: Evaluate, free: Bools, x: Floats, rotation: Floats) -> tuple[Floats, Floats, Floats]:
-    """Levenberg-Marquardt from the best starts at once: costs, ascending, and where they were reached."""
+    """Costs in ascending order and solutions of Levenberg-Marquardt iterations from the best starts."""
     with np.errstate(divide="ignore", invalid="ignore"):
         best = np.argsort(_cost(evaluate(x, rotation)[0]))[:BEST]
         here: tuple[Floats, ...] = (x[best], rotation[best], *evaluate(x[best], rotation[best]))
@@ -163,7 +167,7 @@ def _turns(level: bool) -> Floats:
 
 
 def _along(readings: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Points to start from: along the beams that were read, on the spheres of ranges without a beam."""
+    """Start points: along measured beams, and on the spheres of ranges without a beam."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
@@ -173,9 +177,9 @@ def _along(readings: Floats, position: Floats, rotation: Floats) -> Floats:
 
 
 def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
-    """Stations (S, 3) and targets (T, 3) from all ranges (S, T) [m] between them; None where that is not possible.
+    """Stations (S, 3) and targets (T, 3) from all ranges (S, T) [m] between them; None if that is not possible.
 
-    Needs four stations off one plane and ten targets; the result may be the mirror image.
+    At least four stations that are not coplanar and ten targets are needed; the result may be the mirror image.
 
     Notes
     -----
@@ -204,13 +208,13 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
 
 
 PARALLEL = 1e-5
-"""Mean squared sine below which beams do not meet in a point."""
+"""Mean squared sine of the angles between beams below which they have no intersection."""
 LOOSE = 1e-6
-"""Share of the largest singular value below which a plan can change its shape."""
+"""Fraction of the largest singular value below which a plan can change its shape."""
 
 
 def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
-    """The point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None where they are parallel."""
+    """Point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None for parallel beams."""
     across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
     normal = across.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < PARALLEL * len(beam):
@@ -220,7 +224,7 @@ def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class Lines:
-    """Horizontal lengths [m] (k,) between the places `start` and `end` (k,), whoever read them."""
+    """Horizontal lengths [m] (k,) between the places `start` and `end` (k,), from any station."""
 
     start: Ints
     end: Ints
@@ -230,21 +234,21 @@ class Lines:
 def plan_of(
     setup: Ints, start: Ints, end: Ints, turn: Floats, control: Floats, lines: Lines
 ) -> tuple[Floats, Floats, bool] | None:
-    """Places (P, 2) in plan and yaws (S,) [rad] that directions and lengths tell, and whether they are in frame.
+    """Places (P, 2) in plan and yaws (S,) [rad] from directions and lengths, and a flag that they are in the frame.
 
-    With two known places or more they are put between these, otherwise the first set-up looks along x. None where they
-    tell no shape, or where directions alone meet fewer than two known places: nothing then tells the scale.
+    With two or more known places the result is aligned to these, otherwise azimuth zero of the first set-up is x. None
+    if the shape is undetermined, or if directions alone have fewer than two known places and thus no scale.
 
     Parameters
     ----------
     setup, start, end : (n,) int
-        Upright set-up of each direction, the place where it stands, and that to which it points.
+        Upright set-up of each direction, its place, and the place of its target.
     turn : (n,) float, [rad]
         Reading of the circle.
     control : (P, 2) float, [m]
-        NaN where a place is not known.
+        Known places, NaN for others.
     lines : Lines
-        Lengths count along lines whose direction is read from one of their ends.
+        Lengths are used along lines whose direction was measured from one end.
     """
     yaw = _yaws(setup, start, end, turn)
     rows = np.isfinite(yaw[setup])
@@ -269,7 +273,7 @@ def plan_of(
 
 
 def _lengths_along(lines: Lines, start: Ints, end: Ints) -> tuple[Ints, Floats]:
-    """Indices (k,) of directions whose line was also measured in length, from either end; these lengths (k,)."""
+    """Indices (k,) of directions whose line also has a measured length, and these lengths (k,)."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start.tolist(), lines.end.tolist(), lines.length.tolist(), strict=True
@@ -282,9 +286,9 @@ def _lengths_along(lines: Lines, start: Ints, end: Ints) -> tuple[Ints, Floats]:
 
 
 def loose_lines(setup: Ints, start: Ints, end: Ints, turn: Floats, lines: Lines) -> list[tuple[int, int]]:
-    """Lines between places, by their ends, whose length nothing tells where all set-ups are oriented.
+    """Lines between places, by their ends, without a determined length although all set-ups are oriented.
 
-    Empty where the plan holds, or is loose in more than one way. Parameters as of `plan_of`.
+    It is empty for a determined plan, or if more than one length is undetermined. Parameters as of `plan_of`.
     """
     yaw = _yaws(setup, start, end, turn)
     rows = np.isfinite(yaw[setup])
@@ -304,7 +308,10 @@ def loose_lines(setup: Ints, start: Ints, end: Ints, turn: Floats, lines: Lines)
 
 
 def _design(first: Ints, second: Ints, bearing: Floats, along: Ints, count: int) -> Floats:
-    """Equations of places but the first, x and y in turn: across each bearing, along some, and none to fill up."""
+    """Equations for the places except the first (x and y alternately): perpendicular to each bearing, and along some.
+
+    Padded with zero rows.
+    """
     design = np.zeros((len(bearing) + len(along), count, 2))
     across = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
     ahead = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[along]
@@ -320,10 +327,10 @@ def _design(first: Ints, second: Ints, bearing: Floats, along: Ints, count: int)
 def _shape(
     first: Ints, second: Ints, bearing: Floats, along: Ints, length: Floats, count: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
-    """Places (count,) in plan as complex numbers, the first at 0; None where some can move.
+    """Places (count,) in plan as complex numbers, the first at 0; None if the shape is undetermined.
 
-    Every direction is a linear equation across its bearing, and one along it where its line has a length; without any
-    length the scale is arbitrary.
+    Every direction gives a linear equation perpendicular to its bearing, and another one along it if its line has a
+    length; without lengths the scale is arbitrary.
     """
     design = _design(first, second, bearing, along, count)
     right = np.zeros(len(design))
@@ -338,7 +345,10 @@ def _shape(
 
 
 def _yaws(setup: Ints, start: Ints, end: Ints, turn: Floats) -> Floats:
-    """Yaws (S,) [rad] of set-ups that lines seen from both ends, or twice, join to the first; NaN for the others."""
+    """Yaws (S,) [rad] of set-ups that are connected to the first by lines seen from both ends, or twice.
+
+    It is NaN for others.
+    """
     yaw = np.full(setup.max() + 1, np.nan)
     yaw[setup[0]] = 0.0
     bearings: dict[tuple[int, int], float] = {}

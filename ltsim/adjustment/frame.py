@@ -1,4 +1,4 @@
-"""Frame of a network from levels and known points, and list of the points that each station measured completely.
+"""Frame of a network from levels and known points, and list of the completely measured points of each station.
 
 A tunnel of 2,000 set-ups that see 50 targets each has 100,000 pairs of a station and a target: a list, for the table
 would have 100 million places.
@@ -22,33 +22,33 @@ from ltsim.recordings.setup import Target
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 ROUGH_PLACE = 0.5
-"""[m] Largest distance of a station from its position on a floor plan."""
+"""Largest distance [m] of a station from its position on a floor plan."""
 AT_ONCE = 4096
-"""Targets whose medians are taken together."""
+"""Number of targets whose medians are computed together."""
 NOWHERE = (np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Prior knowledge of the network's frame; NaN where nothing is declared."""
+    """Prior knowledge of the network's frame; NaN for undeclared values."""
 
     points: Floats
-    """Targets that define it: known ones, and approximate ones that were chosen for the datum, (T, 3) [m]."""
+    """Targets that define the frame: known ones, and approximate ones selected for the datum, (T, 3) [m]."""
     stations: Floats
-    """The same for instruments over marks that are no targets, (S, 3) [m]."""
+    """Instrument positions over known or approximate marks that are no targets, (S, 3) [m]."""
     level: Bools
-    """(S,)."""
+    """Flags of the levelled stations, (S,)."""
     marks: Marks
     plan: Floats
-    """Rough places of the stations on a floor plan, (S, 3) [m]."""
+    """Approximate positions of the stations on a floor plan, (S, 3) [m]."""
     yaw: Floats
-    """(S,) [rad]: where the zero of each circle points on that plan."""
+    """Direction of azimuth zero of each station on that plan, (S,) [rad]."""
     oriented: Bools
-    """Stations whose yaw is known, not only roughly, (S,)."""
+    """Flags of the stations whose yaw is known and not only approximate, (S,)."""
     near: Floats
-    """Known or approximate places of the targets, (T, 3) [m]."""
+    """Known or approximate coordinates of the targets, (T, 3) [m]."""
     in_plan: Floats
-    """Targets that are known along x and y at least, with height 0, (T, 3) [m]."""
+    """Targets known along x and y at least, with height 0, (T, 3) [m]."""
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:
@@ -77,7 +77,7 @@ class Frame:
         return any(bool(np.isfinite(places).any()) for places in (self.points, self.stations, self.in_plan))
 
     def common(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
-        """Places (k, 3) of a network that the frame states too, and where it states them."""
+        """Places (k, 3) of a network that the frame also declares, and the declared ones."""
         here, there = np.concatenate([position, points]), np.concatenate([self.stations, self.points])
         both = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         return here[both], there[both]
@@ -85,9 +85,9 @@ class Frame:
     def motion(
         self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
     ) -> tuple[Floats, Floats] | None:
-        """Rotation and translation into the frame; None where the frame does not say.
+        """Rotation and translation into the frame; None if the frame does not determine them.
 
-        `turn` (3, 3) has turned the levels of the network upright already, and `heading` what is known of its yaw.
+        `turn` (3, 3) is the rotation that made levelled stations upright, and `heading` is the known yaw.
         """
         here, there = self.common(position, points)
         if len(here) >= 3 and not on_a_line(there):
@@ -108,10 +108,10 @@ class Frame:
         return rotation @ turn, np.array([*translation[:2], height])
 
     def plan_motion(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
-        """Turn about the vertical and translation of a free network onto the floor plan; None where it has none.
+        """Rotation about the vertical and translation of a free network to the floor plan; None without one.
 
-        The rough places of two stations and more say it, or the place and yaw of one. Places that the network misses by
-        more than `ROUGH_PLACE` belong to another frame and say nothing.
+        They follow from the approximate positions of two or more stations, or from position and yaw of one. Positions
+        that differ by more than `ROUGH_PLACE` belong to another frame and are ignored.
         """
         planned = np.flatnonzero(np.isfinite(self.plan).all(axis=1) & np.isfinite(position).all(axis=1))
         if len(planned) > 1:
@@ -127,9 +127,10 @@ class Frame:
         return turn, self.plan[planned[0]] - turn @ position[planned[0]]
 
     def chirality(self, here: Floats, there: Floats) -> Floats | None:
-        """Factors (3,) that turn a network of ranges at `here` (k, 3) into its mirror image or leave it; None: unknown.
+        """Factors (3,) that mirror a network of ranges at `here` (k, 3) or leave it unchanged; None if unknown.
 
-        Ranges have no hand: places that are stated `there` roughly (NaN elsewhere) tell it when they are off one plane.
+        Ranges do not determine the handedness; approximate positions `there` (NaN for others) determine it if they are
+        not coplanar.
         """
         has_place = np.isfinite(there).all(axis=1)
         here, there = here[has_place], there[has_place]
@@ -144,9 +145,9 @@ class Frame:
         return self.chirality(np.concatenate([position, points]), np.concatenate([self.plan, self.near])) is not None
 
     def placed(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
-        """Targets (t, 3) of a network of ranges, in the hand and in the places that are stated roughly.
+        """Targets (t, 3) of a network of ranges with the handedness and positions of the approximate coordinates.
 
-        And whether they are in these places: three off one line say so.
+        The flag is True if they are at these positions, which three that are not collinear determine.
         """
         here, there = np.concatenate([position, points]), np.concatenate([self.plan[stations], self.near[targets]])
         factors = self.chirality(here, there)
@@ -164,7 +165,7 @@ class Frame:
         return motion is not None and bool(misses(position, position, motion).max() < ROUGH_PLACE)
 
     def heading(self, rotation: Floats, joined: Bools) -> Floats | None:
-        """The turn (3, 3) about z that brings upright stations to the yaws that are known; None where none is."""
+        """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
         chosen = self.oriented & joined
         if not chosen.any():
             return None
@@ -172,7 +173,7 @@ class Frame:
         return about_z(float(np.angle(np.sum(np.exp(1j * (self.yaw[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0])))))))
 
     def upright(self, rotation: Floats, joined: Bools) -> Floats:
-        """The smallest turn (3, 3) that brings the axes of levelled stations to their plumb lines."""
+        """Smallest rotation (3, 3) that brings the axes of levelled stations to their plumb lines."""
         chosen = self.level & joined
         if not chosen.any():
             return np.eye(3)
@@ -182,7 +183,7 @@ class Frame:
 
 
 def _places_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
-    """Places [mm] of marks that are known, and of those that known differences tell from them one after another."""
+    """Coordinates [mm] of known marks, and of marks that known differences determine from them."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
         name: target.known_mm
@@ -204,7 +205,7 @@ def _places_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
 
 
 def _declared(recording: Recording, name: str, *, chosen: bool = True) -> tuple[float, ...]:
-    """Known place [mm] of a target, or its approximate one, where it is `chosen` for the datum alone if asked so."""
+    """Known coordinates [mm] of a target, or its approximate ones; with `chosen` only those of datum targets."""
     target = recording.target_setup(name) if name else None
     if target is None:
         return NOWHERE
@@ -214,7 +215,7 @@ def _declared(recording: Recording, name: str, *, chosen: bool = True) -> tuple[
 
 
 def _in_plan(target: Target) -> tuple[float, ...]:
-    """Known place [mm] of a target in plan, at height 0."""
+    """Known coordinates [mm] of a target in plan, at height 0."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
         return NOWHERE
     return *target.known_mm[:2], 0.0
@@ -230,24 +231,24 @@ def _thickness(points: Floats) -> float:
 
 
 def on_a_line(points: Floats) -> bool:
-    """True if points (k, 3) are collinear, or so nearly that they do not determine the rotation about their line."""
+    """True if points (k, 3) are collinear, or nearly so that the rotation about their line is undetermined."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
 def misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (k,) [m] of points (k, 3) from their goals after a motion: rotation, then translation."""
+    """Distances (k,) [m] of points (k, 3) from their goals after rotation and translation."""
     return np.asarray(np.linalg.norm(source @ motion[0].T + motion[1] - goal, axis=1))
 
 
 def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
-    """Rotation and translation of points (k >= 2, 3) about the vertical alone.
+    """Rotation about the vertical and translation that align points (k >= 2, 3).
 
-    NetworkError when the points lie above one another.
+    Raises NetworkError for points on one vertical.
     """
     a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
-        raise NetworkError("an alignment about the vertical needs points that are not above one another")
+        raise NetworkError("an alignment about the vertical needs points with different horizontal positions")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     rotation = about_z(float(yaw))
     return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))
@@ -255,23 +256,23 @@ def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs (m,) of a station and a target that it measured whole, in the order of the stations."""
+    """Pairs (m,) of a station and a completely measured target, in the order of the stations."""
 
     station: Ints
     target: Ints
-    """(m,) each."""
+    """Indices of station and target of each pair, (m,) each."""
     points: Floats
-    """The target in the station's own frame, (m, 3) [m]."""
+    """Coordinates of the target in the station's frame, (m, 3) [m]."""
     begin: Ints
-    """(S + 1,): where each station's pairs begin."""
+    """Index of the first pair of each station, (S + 1,)."""
     order: Ints
-    """Pairs in the order of their targets, (m,)."""
+    """Indices of the pairs in the order of their targets, (m,)."""
     first: Ints
-    """(T + 1,): where each target's pairs begin in that order."""
+    """Index of the first pair of each target in that order, (T + 1,)."""
 
     @classmethod
     def of(cls, recording: Recording, points: Floats | None = None) -> Pairs:
-        """The pairs of a recording; faces and repeats combined by the median, which a single blunder does not move.
+        """Pairs of a recording; faces and repeats are combined by the median, which is insensitive to a single blunder.
 
         `points` (n, 3) are the measured points; by default those of an ideal tracker.
         """
@@ -298,7 +299,7 @@ class Pairs:
         return slice(int(self.begin[station]), int(self.begin[station + 1]))
 
     def of_rows(self, recording: Recording, values: Floats) -> Floats:
-        """Values (m, 3) of each pair: those of its last row in a recording, of (n, 3) by row."""
+        """Values (m, 3) of each pair from those of the rows (n, 3), by its last row."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station * len(recording.targets) + self.target
         rows = recording.station * len(recording.targets) + recording.target
@@ -307,7 +308,7 @@ class Pairs:
         return by_pair
 
     def medians(self, values: Floats, which: Ints) -> Floats:
-        """Median (k, 3) over stations of values (m, 3) of some targets, leaving out NaN; NaN where all are."""
+        """Median (k, 3) over stations of values (m, 3) of some targets without NaN; NaN if all are NaN."""
         medians = np.full((len(which), 3), np.nan)
         for low in range(0, len(which), AT_ONCE):
             first, end = self.first[which[low : low + AT_ONCE]], self.first[which[low : low + AT_ONCE] + 1]
@@ -320,7 +321,7 @@ class Pairs:
 
 
 def _nan_median(values: Floats) -> Floats:
-    """Median over the second axis of (t, k, 3), leaving out entries that are NaN; NaN where all are."""
+    """Median over the second axis of (t, k, 3) without NaN; NaN if all are NaN."""
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
     ordered = np.sort(values, axis=1)
@@ -330,7 +331,7 @@ def _nan_median(values: Floats) -> Floats:
 
 
 def flat_points(recording: Recording) -> Floats | None:
-    """Measured points (n, 3) with horizontal distances turned into slope ones; None where there is none."""
+    """Measured points (n, 3) with horizontal distances converted to slope distances; None if there are none."""
     flat = recording.is_horizontal
     if not flat.any():
         return None

@@ -1,4 +1,4 @@
-"""The joint covariance of adjusted targets, as `compare` and `uncertainty` read it."""
+"""Joint covariance of adjusted targets, as input of `compare` and `uncertainty`."""
 
 import numpy as np
 
@@ -9,11 +9,14 @@ from ltsim.recordings.coordinates import AXES, covariance_text
 COVARIANCE = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
 MOST_TARGETS = 400
-"""Targets whose joint covariance is written: its file grows with their square, and reaches 20 MB here."""
+"""Largest number of targets with a joint covariance in a file, whose size grows with their square (20 MB here)."""
 
 
 def joint_covariance(adjustment: Adjustment) -> Floats:
-    """Covariance (3 T, 3 T) [m^2] of all targets, point by point; NaN for what no reading in use tells."""
+    """Covariance (3 T, 3 T) [m^2] of all targets, point by point.
+
+    It is NaN for targets that the readings in use do not determine.
+    """
     columns = adjustment.problem.unknowns.target.ravel()
     unit = np.zeros((adjustment.problem.unknowns.size, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
@@ -28,10 +31,10 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
 def covariance_csv(
     adjustment: Adjustment, spread: Floats | None = None, *, factor: float = 1.0, added: Floats | None = None
 ) -> str | None:
-    """The content of `targets.covariance.csv`, None for more than `MOST_TARGETS` targets.
+    """Content of `targets.covariance.csv`; None for more than `MOST_TARGETS` targets.
 
-    `spread` (k, T, 3) [m] are errors that the targets share beyond the readings' own, each for one standard deviation.
-    `factor` multiplies the standard deviations by the readings; `added` (3 T, 3 T) [m^2] is a covariance beyond theirs.
+    `spread` (k, T, 3) [m] are additional errors that the targets share, each for one standard deviation. `factor`
+    multiplies the standard deviations due to the readings; `added` (3 T, 3 T) [m^2] is an additional covariance.
     """
     names = adjustment.recording.targets
     if len(names) > MOST_TARGETS:

@@ -1,4 +1,4 @@
-"""Prior of the instrument parameters: a normal distribution, or a value that is held."""
+"""Prior of the instrument parameters: a normal distribution, or a fixed value."""
 
 from __future__ import annotations
 
@@ -12,32 +12,34 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 CORRECTED_SHARE = 0.3
-"""Prior sigma of a corrected constant, in the maker's guarantees; nobody declares it, and no correction is exact. It
-is between the share to which an ordinary calibration determines it on the day (0.1: a beam tilt of 10 urad to about 1)
-and all of it: the constants of instruments reported as corrected scatter in real halls by half a guarantee and more."""
+"""Prior sigma of a corrected constant, relative to the specification, if it is not declared. It is between the
+uncertainty of an ordinary calibration on the day (0.1: a beam tilt of 10 urad is determined to about 1) and the full
+specification: constants of instruments reported as corrected scatter in real halls by half of the specification and
+more.
+"""
 FREED = 100.0
-"""Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
+"""Factor on a declared prior sigma once the readings contradict it; errors of instruments are not larger."""
 
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """A normal prior of the parameters of each instrument; instruments are independent of each other."""
+    """Normal prior of the parameters of each instrument; instruments are independent."""
 
     mean: Floats
-    """(I, p) [SI]."""
+    """Mean of each parameter, (I, p) [SI]."""
     covariance: Floats
-    """(I, p, p) [SI]."""
+    """Covariance of the parameters of each instrument, (I, p, p) [SI]."""
     held: Bools
-    """Parameters that stay at their mean whatever the readings say, (I, p)."""
+    """Flags of the parameters that are fixed at their mean, (I, p)."""
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:
-        """Independent priors around zero with standard deviations (I, p) [SI]; infinite for none."""
+        """Independent priors about zero with standard deviations (I, p) [SI]; infinite for no prior."""
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
     def widened(self, freed: Bools) -> ParameterPrior:
-        """The prior with some parameters (I, p) practically free."""
+        """Prior with some parameters (I, p) practically free."""
         factor = np.where(freed, FREED, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.held)
 
@@ -53,14 +55,14 @@ class ParameterPrior:
 
     @cached_property
     def roots(self) -> Floats:
-        """Matrices (I, p, p) that make the parameters' deviations from their mean standard normal."""
+        """Matrices (I, p, p) that transform deviations from the mean to standard normal variables."""
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
         lower = np.linalg.cholesky(correlation)
         return np.linalg.inv(lower) / sigma[:, None, :]
 
     def residual(self, values: Floats) -> Floats:
-        """Whitened rows (m,) of values (I, p): one a parameter with a prior."""
+        """Whitened prior residuals (m,) of values (I, p), one per parameter with a prior."""
         gap = self.mean - values
         if self.correlated:
             return np.einsum("iqp,ip->iq", self.roots, gap).ravel()
@@ -76,7 +78,10 @@ def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
 
 
 def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
-    """The same (I, p), where an instrument is said to be corrected what that leaves, unless a parameter's is stated."""
+    """Prior standard deviations (I, p) as `prior_sigmas`.
+
+    For a corrected instrument those of the remaining errors, unless declared.
+    """
     sigma, names = prior_sigmas(recording, construction), construction.names
     instruments = map(recording.setup.instrument_named, recording.instruments)
     for of_instrument, instrument in zip(sigma, instruments, strict=True):

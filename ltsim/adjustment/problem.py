@@ -1,7 +1,8 @@
-"""A recording as a least-squares problem: whitened residuals and their design."""
+"""Recording as a least-squares problem: whitened residuals and their design."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,23 +24,24 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
-from ltsim.solve.design import Design, Pattern, as_dense
+from ltsim.solve.design import PIECE, Design, Pattern, as_dense
 from ltsim.solve.elimination import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
-"""Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
-station's frame wants one far below the sigmas of the network, the numbers one not too far."""
+"""Standard deviation [m, rad] of the datum rows. Any value gives the same adjustment; it must be far below the sigmas
+of the network for correct covariances, but not so small that it impairs the numerics.
+"""
 WEAK = 300.0
-"""Prior sigmas to which further effects are held: far beyond any plausible size."""
+"""Standard deviation, in prior sigmas, of weak priors on additional effects: far beyond any plausible size."""
 
 
 @dataclass(frozen=True)
 class NetworkProblem(NetworkRows):
-    """Unknown poses, targets, instrument parameters and further effects of a recording.
+    """Unknown poses, targets, instrument parameters and additional effects of a recording.
 
     Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
-    points, known marks under stations, known differences, levels, yaws, what no reading determines (held where it is),
-    priors of the instrument parameters, weak priors of the further effects, datum.
+    points, known marks under stations, known differences, levels, yaws, constraints of undetermined unknowns, priors of
+    the instrument parameters, weak priors of the additional effects, datum.
     """
 
     sigma: Floats
@@ -47,9 +49,9 @@ class NetworkProblem(NetworkRows):
     prior: ParameterPrior
     """Prior of the instrument parameters."""
     extra_sigma: Floats
-    """(q,): of the further effects' parameters; infinite for none."""
+    """Standard deviations of weak priors on the additional effects' parameters, (q,); infinite for none."""
     free: Floats
-    """Rigid motions that only the datum holds, (6, f)."""
+    """Rigid motions that only the datum fixes, (6, f)."""
 
     @classmethod
     def of(
@@ -61,9 +63,11 @@ class NetworkProblem(NetworkRows):
         held_to: float = WEAK,
         prior: ParameterPrior | None = None,
     ) -> NetworkProblem:
-        """The problem of a model; `use` (n, 3) leaves readings out, further effects are `held_to` so many priors.
+        """Problem of a model.
 
-        The `prior` of the instrument parameters is by default what the set-up states.
+        `use` (n, 3) selects readings, `held_to` is the weak prior of additional effects in plausible sizes.
+
+        The default `prior` of the instrument parameters is the one declared in the set-up.
         """
         recording = model.recording
         marks = Marks.of(recording)
@@ -91,13 +95,13 @@ class NetworkProblem(NetworkRows):
         )
 
     def on(self, model: MeasurementModel) -> NetworkProblem:
-        """The problem of another model of the same pointings, with what that states and these weights."""
+        """Problem of another model of the same pointings, with its declarations and the present weights."""
         changed = NetworkProblem.of(model, sigma=self.sigma, use=self.use, prior=self.prior)
         differences = changed.differences.subset(np.isin(changed.differences.names, self.differences.names))
         return replace(changed, extra_sigma=self.extra_sigma, differences=differences)
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
-        """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
+        """Problem of the same set-up and pointings, in any order, with stations and targets at other positions."""
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
         moved = replace(moved, sigma=theirs.sigma())
         vars(moved)["structure"] = self.structure
@@ -106,7 +110,7 @@ class NetworkProblem(NetworkRows):
         return moved
 
     def unplaced(self, lost: Bools) -> Bools:
-        """(k,) Differences to `lost` targets (T,) or idle set-ups, or to a height that nothing else tells."""
+        """Flags (k,) of the differences to `lost` targets (T,), to unread set-ups, or to an undetermined height."""
         structure, stations = self.structure, len(self.unknowns.pose)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
         stands[structure.unread_stations], heights[structure.height] = True, True
@@ -115,7 +119,7 @@ class NetworkProblem(NetworkRows):
         return np.asarray(gone | (open_ & self.differences.axes[:, 2]))
 
     def residuals(self, readings: Floats) -> Floats:
-        """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
+        """Observed minus predicted readings (n, 3), angles wrapped; NaN if not measured."""
         gap = self.model.recording.readings - readings
         gap[:, 1:] = wrap(gap[:, 1:])
         return gap
@@ -140,27 +144,29 @@ class NetworkProblem(NetworkRows):
         return np.concatenate([*references, held, prior, extra, datum])
 
     def length_residuals(self, state: State) -> Floats:
-        """Known less adjusted lengths (g,) [m]."""
+        """Declared minus adjusted lengths (g,) [m]."""
         return self.gauge.length - self.gauge.predict(state.points) - self._gauge_by_extra(state) @ state.extra
 
     def retract(self, state: State, step: Floats) -> State:
-        """The state after a step."""
+        """State after a step."""
         at = self.unknowns
         return state.moved(step[at.pose], step[at.target], step[at.instrument], step[at.extra])
 
     def linearise(self, state: State) -> BlockSystem:
-        """The whitened system at a state."""
+        """Whitened linear system at a state."""
         return self.system(state, self.model.linearised(state))
 
     def system(self, state: State, prediction: Prediction) -> BlockSystem:
-        """The whitened system at a state whose readings are predicted already."""
-        design = self._pattern.filled(self._values(state, prediction))
+        """Whitened linear system at a state whose predicted readings are given."""
+        residual, values = self._residual_rows(state, prediction.readings), self._values(state, prediction)
+        del prediction  # which takes as much memory as the design
+        design = self._pattern.filled(values)
         if self.gauge.root is not None:
             design = self._with_shared_errors(design)
-        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.n_reduced)
+        return BlockSystem(design, residual, self.unknowns.n_reduced)
 
     def _with_shared_errors(self, design: Design) -> Design:
-        """The design with the rows of lengths that share errors made independent of one another."""
+        """Design in which the rows of lengths with shared errors are transformed to independent ones."""
         first = int(self.use.sum())
         last = first + len(self.gauge)
         lengths = self.gauge.uncorrelated(as_dense(design[first:last]))
@@ -170,7 +176,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def _pattern(self) -> Pattern:
-        """Sparsity pattern of the design matrix: the same at every state."""
+        """Sparsity pattern of the design matrix, common to all states."""
         return Pattern(self._columns(), self.unknowns.size)
 
     def _columns(self) -> list[Ints]:
@@ -181,7 +187,7 @@ class NetworkProblem(NetworkRows):
         ends = at.target[gauge.first], at.target[gauge.second], np.tile(at.extra, (len(gauge), 1))
         anchors = at.pose[self.structure.anchors].ravel()
         return [
-            np.repeat(pointings[:, None, :], 3, axis=1)[self.use],
+            pointings[np.nonzero(self.use)[0]],
             np.concatenate(ends, axis=1),
             np.repeat(at.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.mark_control.target, :3], self.mark_control.axes.sum(axis=1), axis=0),
@@ -194,43 +200,50 @@ class NetworkProblem(NetworkRows):
             np.tile(anchors, (self.free.shape[1], 1)),
         ]
 
-    def _values(self, state: State, prediction: Prediction) -> list[Floats]:
-        """Whitened derivatives (rows, width) that belong to `_columns`."""
-        by_instrument = prediction.by_instrument
-        if self.prior.held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
-            by_instrument = np.where(self.prior.held[self.model.recording.instrument][:, None], 0.0, by_instrument)
-        by = [prediction.by_pose, prediction.by_target, by_instrument, prediction.by_extra]
+    def _values(self, state: State, prediction: Prediction) -> Iterator[Floats]:
+        """Whitened derivatives (rows, width) in the order of `_columns`."""
+        yield from self._reading_values(prediction)
         direction = self.gauge.directions(state.points)
         gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
-        return [
-            np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None],
-            gauge / self.gauge.sigma[:, None],
-            self.control.weights(),
-            self.mark_control.weights(),
-            self.differences.derivatives(),
-            self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
-            self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None],
-            self.structure.held_directions(state) / DATUM_SIGMA[0],
-            self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)],
-            1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
-            self._datum_values(state),
-        ]
+        yield gauge / self.gauge.sigma[:, None]
+        yield self.control.weights()
+        yield self.mark_control.weights()
+        yield self.differences.derivatives()
+        yield self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None]
+        yield self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None]
+        yield self.structure.held_directions(state) / DATUM_SIGMA[0]
+        yield self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)]
+        yield 1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)]
+        yield self._datum_values(state)
+
+    def _reading_values(self, prediction: Prediction) -> Iterator[Floats]:
+        """Whitened derivatives (r, width) of the readings in use, of some pointings after the others."""
+        by = [prediction.by_pose, prediction.by_target, prediction.by_instrument, prediction.by_extra]
+        held = self.prior.held[self.model.recording.instrument][:, None]
+        step = PIECE // 3
+        for first in range(0, len(self.use), step):
+            piece = slice(first, first + step)
+            parts = [part[piece] for part in by]
+            if held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
+                parts[2] = np.where(held[piece], 0.0, parts[2])
+            use = self.use[piece]
+            yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
 
     def _prior_columns(self) -> Ints:
-        """Columns (m, 1) of the prior's rows, or (m, p) where it correlates parameters."""
+        """Columns (m, 1) of the prior's rows, or (m, p) if it correlates parameters."""
         columns = self.unknowns.instrument
         if self.prior.correlated:
             return np.repeat(columns, columns.shape[1], axis=0)
         return columns[np.isfinite(self.prior.sigma)][:, None]
 
     def _gauge_by_extra(self, state: State) -> Floats:
-        """Change (g, q) of the known lengths per unit of the further effects' parameters."""
+        """Change (g, q) of the reference lengths per unit of the additional effects' parameters."""
         ends = self.gauge.first, self.gauge.second
         columns = [effect.gauge_design(*ends, state.points) for effect in self.model.extra_effects]
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
     def _datum_values(self, state: State) -> Floats:
-        """Rows (f, 6 a) that hold the anchors against the free rigid motions."""
+        """Datum rows (f, 6 a) that fix the free rigid motions at the anchor stations."""
         anchors = self.structure.anchors
         motion = self.free / np.linalg.norm(self.free, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
@@ -241,17 +254,20 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def level_rows(self) -> slice:
-        """The rows of the system that are levels, two a station."""
+        """Rows of the system that are levels, two per station."""
         first = int(self.use.sum()) + len(self.gauge) + self.control.count + self.mark_control.count
         first += self.differences.count
         return slice(first, first + 2 * len(self.levels))
 
     @property
     def dof(self) -> int:
-        """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
+        """Degrees of freedom: observations minus unknowns.
+
+        Free rigid motions are not subtracted, weak priors not added.
+        """
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
-        lengths -= lengths > 0 and not self.gauge.tell_scale
+        lengths -= lengths > 0 and not self.gauge.determine_scale
         nuisances = sum(len(errors.parameters) for errors in self.model.nuisances)
         references = self.control.count + self.mark_control.count + self.differences.count
         references += lengths + 2 * len(self.levels) + len(self.yaws) + priors + nuisances

@@ -22,15 +22,15 @@ from ltsim.geometry.polar import wrap
 from ltsim.recordings.transcription_errors import GON, UNIT_ERRORS, TranscriptionError
 
 FITS = 0.1
-"""Share of unused pointings below which another unit of the readings counts as fitting."""
+"""Fraction of unused pointings below which another unit of the readings counts as correct."""
 CONTRADICTION = 100.0
-"""sigma0 above which readings contradict each other and the covariance, which is linear, is meaningless."""
+"""Limit of sigma0 above which readings contradict each other and linearised covariances are meaningless."""
 HEALED = 0.1
 """Ratio of sigma0 without and with the known points below which the known points are the contradiction."""
 MOST_NAMED = 4
-"""Sentences of one kind that are listed at most."""
+"""Largest number of sentences of one kind."""
 LEAST_PLACES = 3
-"""Number of station positions on a plan from which a mirror image is recognised."""
+"""Smallest number of station positions on a plan from which a mirror image is recognised."""
 FAR = 0.01
 """Misclosure of approximate positions that is accepted, relative to the extent of the network."""
 CLEARLY = 0.3
@@ -45,13 +45,15 @@ SLIPS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
 )
-"""Mistakes of unit or convention in a whole file; none that shrinks lengths, for then any network seems to fit."""
+"""Errors of unit or convention of a whole file that are tried; those that shrink lengths are excluded, because any
+network then seems to fit.
+"""
 
 
 def require_usable(adjustment: Adjustment) -> None:
-    """NetworkError if most pointings are unused or known points contradict the readings.
+    """Check that most pointings are used and that known points are consistent; raises NetworkError.
 
-    ConvergenceError where there is no solution.
+    Raises ConvergenceError if there is no solution.
     """
     _require_consistent_units(adjustment)
     adjustment.require_solution()
@@ -67,7 +69,7 @@ def require_usable(adjustment: Adjustment) -> None:
 
 
 def _require_consistent_units(adjustment: Adjustment) -> None:
-    """NetworkError where a whole set-up was recorded in another unit or sense than the others."""
+    """Check that no set-up is in another unit or sense than the others; raises NetworkError."""
     thin = next(_thin_stations(adjustment), "")
     if thin or not adjustment.solution.converged or adjustment.sigma0 > CONTRADICTION:
         sentences = [finding.sentence.rstrip(".") for finding in correct_units(adjustment.recording)[1]]
@@ -77,7 +79,7 @@ def _require_consistent_units(adjustment: Adjustment) -> None:
 
 
 def _require_consistent_control(adjustment: Adjustment) -> None:
-    """NetworkError where the readings agree with each other as soon as the known points are left out."""
+    """Check that the known points are not the cause of all contradictions; raises NetworkError."""
     control, recording = adjustment.problem.control, adjustment.recording
     if not (adjustment.sigma0 > CONTRADICTION and len(control)):
         return
@@ -101,7 +103,7 @@ def _how(here: Floats, there: Floats) -> str:
     if len(here) < 3 or not spread[0] > 0.0:
         return "check their coordinates"
     if spread[1] < 1e-6 * spread[0]:
-        return "all of them are at one place"
+        return "all of them coincide"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
     ways = {
         f"they fit scaled by {1 / scale:.6g}; check their unit": _miss(here * scale, there),
@@ -112,7 +114,7 @@ def _how(here: Floats, there: Floats) -> str:
 
 
 def _miss(source: Floats, goal: Floats) -> float:
-    """Root of the sum of squares that a rigid fit leaves [m]."""
+    """Root sum of squares [m] after a rigid fit."""
     try:
         return float(np.linalg.norm(misses(source, goal, align(source, goal))))
     except NetworkError:
@@ -120,13 +122,13 @@ def _miss(source: Floats, goal: Floats) -> float:
 
 
 def _unused(adjustment: Adjustment) -> Bools:
-    """(m,) Of the pointings that were measured, those of which nothing is in use."""
+    """Flags (m,) of the measured pointings without a used reading."""
     measured, used = np.asarray(adjustment.recording.measured.any(axis=1)), adjustment.problem.use.any(axis=1)
     return ~np.asarray(used)[measured]
 
 
 def _unit_that_fits(adjustment: Adjustment) -> str:
-    """Unit that makes the readings agree with each other, as `gon, not degrees`; empty if no unit does."""
+    """Unit that makes the readings consistent, as `gon, not degrees`; empty if there is none."""
     recording, most = adjustment.recording, CONTRADICTION
     if adjustment.sigma0 > CONTRADICTION:
         most = HEALED * adjustment.sigma0
@@ -151,13 +153,13 @@ def warnings_of(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
-    """Warnings that concern the network as a whole, and no single reference value or blunder."""
+    """Warnings on the network as a whole, not on single reference values or blunders."""
     kinds = _plan, _undecided, _thin_stations, _uncertain_figures
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
 def _references(adjustment: Adjustment) -> Iterator[str]:
-    """Reference values that contradict the other observations."""
+    """Sentences on reference values that contradict the other observations."""
     every = (*adjustment.rejected_references, *adjustment.axis_tests)
     sentences = [
         test.sentence for test in every if test.excluded or test.indistinguishable_from or test.kind == "scale"
@@ -168,17 +170,17 @@ def _references(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _causes(adjustment: Adjustment) -> Iterator[str]:
-    """Simple causes in the model."""
+    """Sentences on simple causes in the model."""
     yield from (sentence.rstrip(".") for sentence in adjustment.causes)
 
 
 def _motions(adjustment: Adjustment) -> Iterator[str]:
-    """Stations that move while they measure."""
+    """Sentences on stations that move while they measure."""
     yield from () if adjustment.causes else (sentence for _, sentence in motion_sentences(adjustment))
 
 
 def _plan(adjustment: Adjustment) -> Iterator[str]:
-    """Rough places of upright stations that do not fit the network, or only its mirror image."""
+    """Sentences on approximate positions of upright stations that do not fit the network, or only its mirror image."""
     frame, state = Frame.of(adjustment.recording), adjustment.state
     planned = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
     if len(planned) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
@@ -196,31 +198,31 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     names = listing([adjustment.recording.stations[s] for s in planned])
     if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):
         yield (
-            f"the stated places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
+            f"the declared places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
             f"as it is {as_is:.2g} m): the azimuths may be clockwise, and all coordinates mirrored"
         )
     else:
-        yield f"the stated places of the stations {names} miss the network by up to {as_is:.2g} m and were not used"
+        yield f"the declared places of the stations {names} miss the network by up to {as_is:.2g} m and were not used"
 
 
 def _undecided(adjustment: Adjustment) -> Iterator[str]:
-    """Targets that only two stations see, of which one or both were left out."""
+    """Sentences on targets that two stations measure, one or both of which were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.measured), (used_pairs, adjustment.problem.use)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     two = measured_pairs.sum(axis=0) == 2
-    ends = {1: "its coordinates are those of one of them", 0: "it has no coordinates"}
+    ends = {1: "its coordinates are those of one of them", 0: "the target has no coordinates"}
     for stations, end in ends.items():
         names = [recording.targets[t] for t in np.flatnonzero(two & (used_pairs.sum(axis=0) == stations))]
         if names:
-            contradiction = "the positions from two stations differ and the data do not identify which one is right"
+            contradiction = "the positions from two stations differ and the data do not show which one is right"
             yield f"{listing(names)}: {contradiction}; {end}"
 
 
 def _mistakes(adjustment: Adjustment) -> Iterator[str]:
-    """Blunders that explain the rejected pointings: exchanged reflectors, wrong units, wrong faces."""
+    """Sentences on blunders that explain the rejected pointings: exchanged reflectors, wrong units, wrong faces."""
     sentences = [finding.sentence.rstrip(".") for finding, *_ in detect_blunders(adjustment)]
     if sentences:
         more = f"; {len(sentences) - MOST_NAMED} more such mistakes" if len(sentences) > MOST_NAMED else ""
@@ -228,7 +230,7 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _two_names(adjustment: Adjustment) -> Iterator[str]:
-    """Targets at one place that no set-up sees both of: one target, perhaps, that was booked under two names."""
+    """Sentences on two targets at one position that no set-up measures both, possibly one target under two names."""
     recording, points = adjustment.recording, adjustment.state.points
     is_sighted = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
     placed = adjustment.problem.use.all(axis=1)
@@ -249,20 +251,20 @@ def _tripods(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
-    """Stations that lost most of their pointings."""
+    """Sentences on stations that lost most of their pointings."""
     recording, measured = adjustment.recording, adjustment.recording.measured.any(axis=1)
     count = len(recording.stations)
     whole = np.bincount(recording.station[measured], minlength=count)
     used = np.bincount(recording.station[adjustment.problem.use.any(axis=1)], minlength=count)
     for s in np.flatnonzero((used > 0) & (used < MAJORITY * whole)):
         yield (
-            f"station {recording.stations[s]} keeps {used[s]} of its {whole[s]} pointings: its position is doubtful; "
-            "check its names, units and sense of azimuth"
+            f"station {recording.stations[s]} has {used[s]} of its {whole[s]} pointings in use: its position is "
+            "uncertain; check its names, units and sense of azimuth"
         )
 
 
 def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
-    """Poses that are held or bend, a sum of squares that states nothing."""
+    """Sentences on fixed or nonlinear poses, and on a sum of squares without meaning."""
     if adjustment.undetermined_stations:
         yield (
             "the readings in use do not determine the full pose of station "
@@ -273,13 +275,13 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
     if bent:
         yield (
             f"the targets of station {listing(bent)} "
-            "hold its pose so weakly that its standard deviations, which are linear, are too small "
-            f"(curvature {bend.max():.2g}, trustworthy below {BENT:g}): give it targets off one line and apart"
+            "hardly determine its pose, so that its standard deviations (a linear approximation) are too small "
+            f"(curvature {bend.max():.2g}, trustworthy below {BENT:g}): add targets far apart and not on one line"
         )
     if adjustment.sigma0 > CONTRADICTION:
         yield (
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
-            "standard deviations are meaningless"
+            "standard deviations are not valid"
         )
 
 
@@ -289,12 +291,12 @@ def _copies(adjustment: Adjustment) -> Iterator[str]:
 
 
 def curvature(adjustment: Adjustment) -> Floats:
-    """(S,) Bend of all readings over one standard deviation of each pose, along its least known direction.
+    """Curvature (S,) of all readings over one standard deviation of each pose, along its least determined direction.
 
-    A covariance is right where readings are straight lines over the region it describes. A station that sees its
-    targets almost on one line, or all of them far away within a hand's breadth, may turn so far that they are not.
-    With f the whitened readings and v a step of one standard deviation of the network: |f(x + v) - 2 f(x) + f(x - v)|
-    / 2. Zero where a pose is known so well that its turn cannot bend them, NaN where it is held.
+    A covariance is valid if readings are linear over the region that it describes. The pose of a station whose targets
+    are nearly collinear, or close together and far away, may be too uncertain for that. With f the whitened readings
+    and v a step of one standard deviation of the network, the curvature is |f(x + v) - 2 f(x) + f(x - v)| / 2. It is
+    zero for a well-determined pose and NaN for a fixed one.
 
     References
     ----------

@@ -44,38 +44,44 @@ WORDS: dict[Kind, str] = {
     "level": "the level of",
     "yaw": "the azimuth zero of",
     "mark": "the set-up of",
-    "axes": "the stated coordinates of",
+    "axes": "the declared coordinates of",
     "scale": "the scale of",
 }
 UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 KINDS: tuple[Kind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 SCALED: tuple[Kind, ...] = KINDS[:-1]
-"""Kinds that may be excluded where lengths determine the scale of the ranges: a common scale error is only reported."""
+"""Kinds of reference values that may be excluded if lengths determine the scale of the ranges: a common scale error is
+only reported.
+"""
 SIGMAS = 5.0
 """Limit of `w`: a reference value with a larger normalised error is excluded."""
 CHECKED = 1e-3
 """Redundancy below which the other observations do not test a component of a reference value."""
 INSENSITIVE = 1e-9
-"""Signature of a component, relative to the largest of its value, below which the readings do not depend on it."""
+"""Signature of a component, relative to the largest of its reference value, below which the readings do not depend on
+it.
+"""
 MIN_RESIDUAL = 0.2
-"""Whitened residual below which a reference value is not tested: an error of 5 sigmas has a larger one."""
+"""Whitened residual below which a reference value is not tested, because an error of 5 sigmas has a larger one."""
 FINEST = 0.3
-"""Standard deviation with which an exact value is tested, relative to that of a reading at its target."""
+"""Smallest standard deviation with which an exact value is tested, relative to that of a reading at its target."""
 UPRIGHT = 0.01
-"""Share of a height error that may appear in plan [rad]: the tilt of instruments and targets is smaller."""
+"""Largest horizontal part of a height error [rad]: instruments and targets are inclined less."""
 AT_ONCE = 64
-"""Number of reference values whose covariance columns are computed at once (memory)."""
+"""Number of reference values whose covariance columns are computed together (memory)."""
 PLAIN = 20.0
-"""Limit of `w`; from here on an error is accepted without comparing it with several outliers as an alternative."""
+"""Limit of `w` from which an error is accepted without comparison with several outliers as an alternative."""
 USUAL = 3
-"""Number of reference values of a kind from which their typical error is estimated; fewer are judged one by one."""
+"""Smallest number of reference values of a kind from which their typical error is estimated; fewer are tested one by
+one.
+"""
 RIVAL = 100.0
-"""Likelihood ratio to the second best hypothesis above which a single reference value is identified as erroneous."""
+"""Likelihood ratio to the second-best hypothesis above which a single reference value is identified as erroneous."""
 BY_FAR = 1e-6
-"""Fraction of chi-square: reference values whose exclusion lowers chi-square below it are rejected by that alone."""
+"""Fraction of chi-square below which the exclusion of reference values is sufficient evidence against them."""
 MOST_OUT = 1 / 3
-"""Share of the reference values of a kind above which they are inconsistent and none is identified."""
+"""Fraction of the reference values of a kind above which they are inconsistent and none is identified."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ class ReferenceTest(ReferenceValue):
     critical: float = SIGMAS
     """Limit of `w`."""
     indistinguishable_from: tuple[str, ...] = ()
-    """Other reference values whose error explains the same: none of them is excluded."""
+    """Other reference values whose error explains the same; none of them is excluded."""
 
     @property
     def w(self) -> float:
@@ -103,7 +109,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def is_height(self) -> bool:
-        """True where its error is one of the height alone."""
+        """True if its error is one of the height alone."""
         *plan, height = np.abs(self.error).tolist()
         small = [max(SIGMAS * sigma, UPRIGHT * height) for sigma in self.sigma_error[:-1]]
         return bool(plan) and height > SIGMAS * self.sigma_error[-1] and all(map(float.__lt__, plan, small))
@@ -126,9 +132,9 @@ class ReferenceTest(ReferenceValue):
                 f"the mark of {', '.join(self.indistinguishable_from)}" if self.indistinguishable_from else "its mark"
             )
             where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
-            where, cause = (where, f" (its height is stated too {cause})") if self.is_height else ("away from", "")
+            where, cause = (where, f" (its height is declared too {cause})") if self.is_height else ("away from", "")
             end = f"{mark}{cause} (w = {self.w:.3g}): its position is estimated separately"
-            return f"set-up {self.name} stands {self.error_text} {where} {end}"
+            return f"set-up {self.name} is {self.error_text} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
@@ -138,7 +144,7 @@ class ReferenceTest(ReferenceValue):
         if self.indistinguishable_from:
             both = ", ".join((self.name, *self.indistinguishable_from))
             size = f"{what} by {self.error_text}"
-            return f"{both} are inconsistent ({size}); the data do not identify which one is in error"
+            return f"{both} are inconsistent ({size}); the data do not show which one is wrong"
         rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
             rest = f"or the height of set-up {self.occupied_by} over it: excluded"
@@ -147,17 +153,17 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def redundancy(self) -> Floats:
-        """Redundancy number (q,) of each component: share of its error that appears in its residual."""
+        """Redundancy number (q,) of each component: derivative of its residual with respect to its error."""
         return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
 
     @property
     def minimal_detectable(self) -> Floats:
-        """Minimal detectable error (q,) of each component at a power of 80 %; infinite where nothing tests it."""
+        """Minimal detectable error (q,) of each component at a power of 80 %; infinite for an untested one."""
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
 
 
 def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
-    """Problem in which exact reference values have at least `FINEST` of a reading's sigma, so that tests work."""
+    """Problem in which exact reference values have at least `FINEST` of a reading's sigma, to be testable."""
     if not problem.use.any():
         return problem
     range_ = problem.model.geometry(state).range_
@@ -171,7 +177,7 @@ def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
 
 
 def reference_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[ReferenceTest]:
-    """The test of each known value of an adjustment; of those with a residual of `least`, and of all lengths alike."""
+    """Tests of the reference values of an adjustment with a residual of at least `least`, and of all lengths."""
     if not least and solution.factor is not None:
         problem, given = relaxed_references(problem, solution.x), problem
         solution = solution if problem is given else solve(problem, solution.x)
@@ -191,7 +197,7 @@ def reference_tests(problem: NetworkProblem, solution: Solution[State], least: f
 
 
 def _test(value: ReferenceRows, gram: Floats, pull: Floats) -> ReferenceTest:
-    """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
+    """Test from the Gram matrix (q, q) of a projected signature and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
     size = np.where(size > INSENSITIVE * size.max(), size, np.inf)  # readings in plan do not depend on heights
     share, turned = np.linalg.eigh(gram / np.outer(size, size))
@@ -219,9 +225,10 @@ def snoop_references(
     kinds: Collection[Kind] = KINDS,
     exempt: frozenset[tuple[Kind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[State], tuple[ReferenceTest, ...]]:
-    """The problem without the known values that contradict the rest, its solution, and what contradicts.
+    """Problem without the reference values that contradict the other observations, its solution, and their tests.
 
-    One at a time, by the fall of chi-square; single readings that explain more are set aside while the rest is judged.
+    They are excluded one at a time by the decrease of chi-square; single readings that explain more are excluded during
+    the tests.
     """
     given, aside = (problem, solution), relaxed_references(problem, solution.x)
     out: list[ReferenceTest] = []
@@ -273,7 +280,7 @@ def snoop_references(
 def _with_final_errors(
     tests: Sequence[ReferenceTest], problem: NetworkProblem, state: State
 ) -> Iterator[ReferenceTest]:
-    """The tests of known values, with what those left out are off by at the state without them."""
+    """Tests of reference values, with the errors of excluded ones at the final state."""
     names, marks = problem.model.recording.stations, problem.marks
     off = {(v.kind, v.name): v.residual for v in (*reference_values(problem, state), *common_scale(problem, state))}
     for test in tests:
@@ -287,7 +294,7 @@ def _with_final_errors(
 
 
 def _mutual_contradiction(wrong: Sequence[ReferenceTest], every: Sequence[ReferenceTest]) -> tuple[ReferenceTest, ...]:
-    """The first of some wrong known values beside those that contradict it, where there are too few to judge them."""
+    """First of the wrong reference values with those that contradict it, if too few exist to identify the wrong one."""
     for test in wrong:
         others = [other for other in every if other.kind == test.kind and other.name != test.name]
         if 0 < len(others) < USUAL and (rivals := tuple(other.name for other in others if other.w > SIGMAS)):
@@ -296,14 +303,14 @@ def _mutual_contradiction(wrong: Sequence[ReferenceTest], every: Sequence[Refere
 
 
 def _typical_error(tests: Sequence[ReferenceTest]) -> float:
-    """Usual size of the errors of known values of a kind, in declared standard deviations; at least 1."""
+    """Typical error of reference values of a kind, in declared standard deviations; at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
 def _penalised_chi2(problem: NetworkProblem, solution: Solution[State], gone: Sequence[ReferenceTest]) -> float:
-    """Chi-square without the readings that do not belong, and what each of these and of the known values `gone` costs.
+    """Chi-square without outliers, plus a penalty for each outlier and each excluded reference value `gone`.
 
-    What one known value explains, a few readings may explain as well: each is paid for as its own test asks for.
+    A few readings may explain the same as one reference value: the penalty of each is the limit of its own test.
     """
     accepted, ended = snoop_readings(problem, solution.x)
     readings = int(problem.use.sum())
@@ -315,7 +322,10 @@ def _penalised_chi2(problem: NetworkProblem, solution: Solution[State], gone: Se
 def _most_significant(
     problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], exempt: Collection[tuple[Kind, str]]
 ) -> ReferenceTest | Bools | None:
-    """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
+    """Reference value, or readings (n, 3), that explain most.
+
+    It is None if no reference value contradicts the other observations.
+    """
     tests = [test for test in reference_tests(problem, solution, MIN_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt]
     if not tests or problem.dof < 2:

@@ -1,4 +1,4 @@
-"""Declared values of a network's set-up in the rows of its adjustment: known value, misclosure, effect of its error."""
+"""Reference values of a set-up in the rows of its adjustment: declared value, misclosure, effect of its error."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -19,41 +19,41 @@ CLEARED: dict[str, dict[str, object]] = {
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""Settings of a station's set-up that are cleared, by kind of the known value that is left out."""
+"""Settings of a station's set-up that are removed, by kind of the excluded reference value."""
 
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """A point, difference, length or level, all lengths, or that a set-up stands on its mark.
+    """Reference value: point, difference, length, level, common scale, or position of a set-up on its mark.
 
-    Arrays are (q,) [m, rad or 1], a component each.
+    Arrays are (q,) [m, rad or 1], one entry per component.
     """
 
     kind: Kind
     name: str
     """Target, both ends of a length or difference, or station."""
     axes: str
-    """Coordinates that are known, of a point or a difference."""
+    """Known coordinates of a point or difference."""
     sigma: Floats
-    """Stated standard deviation."""
+    """Declared standard deviation, (q,)."""
     residual: Floats
-    """Stated less adjusted."""
+    """Declared minus adjusted value, (q,)."""
     occupied_by: str = field(default="", kw_only=True)
-    """The set-up that stands over a point which nothing else shows."""
+    """Set-up over a point that is known by that set-up only; else empty."""
 
 
 @dataclass(frozen=True)
 class ReferenceRows(ReferenceValue):
-    """A known value in the rows of an adjustment."""
+    """Reference value with its rows in an adjustment."""
 
     rows: Ints
-    """Rows of the system that its error reaches, (r,)."""
+    """Rows of the system that depend on its error, (r,)."""
     signature: Floats
-    """(r, q): what an error of 1 [m, rad] in each component does to them."""
+    """Derivative of these rows with respect to an error in each component, (r, q)."""
 
 
 def reference_values(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
-    """The known values of a problem, in the order of its rows."""
+    """Reference values of a problem, in the order of its rows."""
     recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
     shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
@@ -92,7 +92,7 @@ def reference_values(problem: NetworkProblem, state: State) -> Iterator[Referenc
 
 
 def common_scale(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
-    """Common scale of all known lengths, if there are several: their temperature, and their reference standard."""
+    """Common scale of all reference lengths, if there are several: error of their temperature or reference standard."""
     gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
     if felt.sum() > 1:
         shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
@@ -102,7 +102,7 @@ def common_scale(problem: NetworkProblem, state: State) -> Iterator[ReferenceRow
 
 
 def _centrings(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
-    """Set-ups over marks that something else shows too: each is said to stand there exactly."""
+    """Set-ups over marks that are also measured otherwise: the declaration that they are exactly on the mark."""
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
     if not shared.any():
@@ -117,7 +117,7 @@ def _centrings(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]
 
 
 def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
-    """The recording whose set-up does not state one known value."""
+    """Recording whose set-up does not contain one reference value."""
     setup, name = recording.setup, test.name
     if test.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
@@ -135,17 +135,17 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
 
 
 COORDINATES = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
-"""Keys of a target that its reference coordinates consist of."""
+"""Keys of the reference coordinates of a target."""
 
 
 def without_coordinates(recording: Recording) -> Recording:
-    """The recording whose set-up states no reference coordinates."""
+    """Recording whose set-up contains no reference coordinates."""
     targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 
 def exchanged(recording: Recording, first: str, second: str) -> Recording:
-    """The recording with the reference coordinates of two targets exchanged."""
+    """Recording with the reference coordinates of two targets exchanged."""
     targets = dict(recording.setup.targets)
     for here, there in ((first, second), (second, first)):
         coordinates = {key: getattr(recording.setup.targets[there], key) for key in COORDINATES}

@@ -1,4 +1,4 @@
-"""Nonlinear refit of a network with some effects, the constants of their shapes included."""
+"""Nonlinear refit of a network with some effects, including the constants of their shapes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from ltsim.physics.model.measurement import State
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
-"""Steps of the constants at most: a refit begins where a search has found them on a grid."""
+"""Largest number of steps of the constants: a refit starts at the grid point of a search."""
 LINEAR = 1e-5
-"""Relative change of a constant over which readings change linearly: a range of 20 m has a thousand short waves."""
+"""Relative change of a constant over which readings are linear: a range of 20 m contains a thousand short waves."""
 HALVINGS = 4
-"""Maximum number of halvings of a step that fits worse, for constants that begin far off."""
+"""Largest number of halvings of a step that increases chi-square, for constants with a poor start."""
 NO_WORSE = 1e-3
-"""Rise of chi-square that counts as none: that of a constant 0.03 standard deviations off its best value."""
+"""Increase of chi-square that counts as zero: that of a constant 0.03 standard deviations from its optimum."""
 FELT = 1e-3
-"""A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
+"""Smallest change of a reading, relative to the effect, by a tenth of a shape constant at which the constant is
+estimated.
+"""
 
 
 @dataclass(frozen=True)
 class ShapeDirection(Signature):
-    """Signature of a change of one of an effect's shape constants, with which a refit estimates the constant.
+    """Signature of a change of one of an effect's shape constants, by which a refit estimates the constant.
 
     The parameter is the change of the constant relative to its size.
     """
@@ -53,20 +55,20 @@ class ShapeDirection(Signature):
 
     @property
     def now(self) -> float:
-        """The constant [SI]."""
+        """Present value of the constant [SI]."""
         return float(getattr(self.base, self.constant.name))
 
     def moved(self, change: float) -> float:
-        """The constant after a relative change, within its bounds; at once it halves or doubles at most."""
+        """Constant after a relative change, within its bounds and at most halved or doubled."""
         moved = self.now * (1 + np.clip(change, -0.5, 1.0))
         return float(np.clip(moved, self.constant.low, self.constant.high))
 
 
 @dataclass(frozen=True)
 class FirstOrder(Tunable):
-    """An effect in its first-order form at one state of the network, where the exact one keeps a refit from ending.
+    """Effect in first-order form at one state of the network, used if the exact form prevents convergence.
 
-    An encoder error of thousands of lines, say, moves by a good part of a period while the network settles.
+    An encoder error with thousands of periods, for example, changes by a large part of a period between iterations.
     """
 
     base: Tunable
@@ -80,21 +82,21 @@ class FirstOrder(Tunable):
 
     @classmethod
     def of(cls, base: Tunable, sightings: Sightings) -> FirstOrder:
-        """An effect at a state of the network."""
+        """First-order form of an effect at a state of the network."""
         identity = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
         return cls(base, base.design(sightings), *identity)
 
     def design(self, sightings: Sightings) -> Floats:
-        """The design (n, 3, p) of the effect as it was."""
+        """Design (n, 3, p) of the effect at that state."""
         return self.at
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Derivative (g, p) of the known lengths by the effect's parameters."""
+        """Derivative (g, p) of the reference lengths with respect to the effect's parameters."""
         return self.base.gauge_design(first, second, points)
 
 
 def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
-    """Shape constants of an effect that the readings feel and that vary smoothly, less those that are `fixed`."""
+    """Shape constants of an effect that influence the readings smoothly, except the `fixed` ones."""
     directions = []
     size = float(np.abs(effect.design(sightings) @ values).max())
     for shape in type(effect).shape:
@@ -108,19 +110,20 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Co
 
 
 class Estimated(NamedTuple):
-    """A parameter or a shape constant of an effect [SI]."""
+    """Estimate of a parameter or shape constant of an effect [SI]."""
 
     parameter: Parameter | ShapeParameter
     value: float
     sigma: float
-    """Standard deviation; infinite for a constant beside which the adjustment did not converge."""
+    """Standard deviation; infinite for a constant with which the adjustment did not converge."""
 
 
 @dataclass(frozen=True)
 class Refit:
-    """A refitted network, the effects with their final shapes, and what is known of each.
+    """Refitted network, the effects with their final shapes, and the estimates of each.
 
-    Nothing is told of effects beside which the adjustment did not converge, nor of constants that no reading feels.
+    There are no estimates for effects with which the adjustment did not converge, nor for constants without influence
+    on the readings.
     """
 
     adjustment: Adjustment
@@ -135,7 +138,7 @@ def refit(
     start: State,
     fixed: Sequence[Collection[str]] = (),
 ) -> Refit:
-    """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
+    """Adjustment with effects, in which shape constants are estimated together with their uncertainty.
 
     Parameters
     ----------
@@ -143,9 +146,9 @@ def refit(
         The adjustment with `effects` from a `start`, both by name.
     effects : sequence of Tunable
     start : State
-        Of the network.
+        Start state of the network.
     fixed : sequence of collections of str, optional
-        Names of each effect's constants that stay as they are and are not told.
+        Names of each effect's constants that are fixed and not reported.
     """
     stay = fixed or [()] * len(effects)
     current = list(effects)
@@ -184,7 +187,10 @@ def _step(
     changes: Floats,
     before: Adjustment,
 ) -> tuple[list[Tunable], Adjustment] | None:
-    """Effects with changed constants and their adjustment, halved until it fits no worse; None where it never does."""
+    """Effects with changed constants and their adjustment, after halvings until chi-square does not increase.
+
+    It is None otherwise.
+    """
     for share in 0.5 ** np.arange(1 + HALVINGS):
         moved = _reshaped(effects, directions, share * changes)
         tried = adjusted(effects=moved, start=before.state)
@@ -194,7 +200,7 @@ def _step(
 
 
 def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
-    """The values of each effect's parameters."""
+    """Values of the parameters of each effect."""
     sizes = [len(e.parameters) for e in effects]
     return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
@@ -212,7 +218,7 @@ def _estimates(
     effects: Sequence[Tunable],
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[Estimated, ...], ...]:
-    """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""
+    """Estimates with uncertainty; those of parameters include the uncertainty of estimated shape constants."""
     shaped = joint.solution.converged and len(joint.effects) > len(effects)
     carrier = joint if shaped else fitted
     if not (effects and carrier.solution.converged):

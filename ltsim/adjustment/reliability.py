@@ -1,4 +1,4 @@
-"""Reliability of single readings: redundancy, normalised residuals, outlier tests and minimal detectable errors."""
+"""Reliability of single readings: redundancy, normalised residuals, outlier tests, minimal detectable errors."""
 
 from functools import lru_cache
 
@@ -12,11 +12,11 @@ from ltsim.solve.design import median_deviation
 from ltsim.solve.elimination import BlockFactor
 
 BELIEVED = 1.25
-"""Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
+"""Robust sigma0 up to which the declared noise is used; above it residuals are tested by the estimated noise."""
 CHECKED = 0.1
-"""Redundancy from which a residual says something about the noise."""
+"""Redundancy from which a residual is used to estimate the noise."""
 FEW = 15
-"""Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
+"""Degrees of freedom below which an estimated sigma0 is too uncertain to replace the declared noise."""
 FAR_MORE = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
 EQUIVALENT = 0.9
@@ -24,14 +24,17 @@ EQUIVALENT = 0.9
 
 
 def redundancy_of(problem: NetworkProblem, factor: BlockFactor) -> Floats:
-    """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
+    """Redundancy numbers (n, 3), derivative of a residual with respect to an error of its reading.
+
+    It is NaN for unused readings.
+    """
     share = np.full(problem.use.shape, np.nan)
     share[problem.use] = 1.0 - factor.leverage()[: int(problem.use.sum())]
     return share
 
 
 def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
-    """Residuals over their own standard deviations (n, 3); 0 where nothing checks a reading, NaN where unused."""
+    """Residuals divided by their own standard deviations, (n, 3); 0 for an unchecked reading, NaN for an unused one."""
     checked = problem.use & (redundancy > UNCHECKED)
     w = np.where(problem.use, 0.0, np.nan)
     w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
@@ -39,16 +42,16 @@ def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -
 
 
 def scale_of(w: Floats, redundancy: Floats) -> float:
-    """Factor on the declared noise: never less than one, more where the residuals show more.
+    """Factor on the declared noise from the residuals, at least one.
 
-    Noise smaller than declared makes no reading an outlier that the declared noise allows.
+    The noise is never reduced, so that a reading that the declared noise permits is no outlier.
     """
     shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
     return shown if shown > BELIEVED else 1.0
 
 
 def noisy_groups(w: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
-    """Targets whose own readings scatter far more than all others, and how many sigmas these and the others scatter.
+    """Targets whose readings scatter far more than all others, and the scatter of both groups in sigmas.
 
     `w` and `redundancy` (n, 3), `target` (n,).
     """
@@ -74,7 +77,7 @@ def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
 
 
 def p_value_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
-    """Chance that one of `count` readings has such a |w| / sigma0; infinite `dof`: by the stated noise.
+    """Probability that one of `count` readings has such a |w| / sigma0; infinite `dof` means the declared noise.
 
     References
     ----------
@@ -91,10 +94,10 @@ def p_value_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
 def iterative_snooping(
     gap: Floats, shown: Floats, scale: Floats, dof: Floats, count: int, level: float
 ) -> list[tuple[int, float, float, float]]:
-    """Outliers among k readings, the surest first: index, error in sigmas, w, and p-value of each.
+    """Outliers among k readings, the most significant first: index, error in sigmas, w and p-value of each.
 
-    `gap` (k,) holds their residuals in sigmas, `shown` (k, k) the effect of an error of each on these. The residuals
-    that one outlier explains do not count against another; readings that cannot be distinguished from it follow it.
+    `gap` (k,) holds their residuals in sigmas, `shown` (k, k) the effect of an error of each on these. Residuals that
+    one outlier explains do not count for another; readings that cannot be distinguished from it follow it in the list.
     """
     outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(shown).copy()
     while (redundancy > UNCHECKED).any():
@@ -111,22 +114,22 @@ def iterative_snooping(
 
 
 def single_level(count: int, level: float) -> float:
-    """Level of one test of `count` that together have `level` (Sidak)."""
+    """Significance level of one of `count` tests that together have `level` (Sidak)."""
     return float(-np.expm1(np.log1p(-level) / max(count, 1)))
 
 
 @lru_cache
 def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
-    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `POWER`.
+    """Squared length of a whitened error after adjustment that a chi-square test detects with the probability `POWER`.
 
     Parameters
     ----------
     dof : int
-        Of the test; in one degree of freedom it is the two-sided test of a normal variable.
+        Degrees of freedom of the test; one is the two-sided test of a normal variable.
     level : float
-        False-alarm rate of all that is tested together.
+        False-alarm rate of all hypotheses together.
     hypotheses : int
-        How many share it (Sidak): who searches more must find more.
+        Number of hypotheses that share it (Sidak): with more of them a larger value is needed.
 
     References
     ----------
@@ -139,7 +142,8 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int 
 def neg_log_p_chi2(drop: Floats | float, rank: Ints | int) -> Floats:
     """Negative log p-value of a chi-square decrease `drop` with `rank` degrees of freedom; 0 for rank 0.
 
-    Where the chance is too small for a float, by the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
+    For probabilities below the range of a float, the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x) are
+    used.
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(drop, 0.0) / 2.0
     far = x > 300.0

@@ -1,7 +1,7 @@
-"""The residual space of an adjustment: what an adjustment leaves of any signature.
+"""Residual space of an adjustment: the part of any signature that remains after the adjustment.
 
-Residuals are correlated and smeared; a signature g of an effect shows as P g, with P the projector off everything that
-is estimated. Tests of a diagnosis and the detectability of a plan live there, in whitened units.
+Residuals are correlated: a signature g of an effect appears in them as P g, where P is the projector onto the residual
+space. Tests of a diagnosis and the detectability of a plan use it, in whitened units.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from ltsim.solve.projection import Projection
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """The projection off what is estimated, and the residuals off it."""
+    """Projector onto the residual space, and the residuals."""
 
     projection: Projection
-    """Off the whitened design, and further signatures where they are estimated too."""
+    """Projector that removes the whitened design, and additional signatures if they are in the model."""
     residual: Floats
     """Whitened residuals, orthogonal to the design, (m,)."""
     adjustment: Adjustment
@@ -45,12 +45,12 @@ class ResidualSpace:
 
     @property
     def use(self) -> Bools:
-        """Readings in use, the first rows, (n, 3)."""
+        """Flags (n, 3) of the readings in use, which are the first rows."""
         return self.adjustment.problem.use
 
     @property
     def sigma(self) -> Floats:
-        """(n, 3) standard deviations of the readings."""
+        """Standard deviations of the readings, (n, 3)."""
         return self.adjustment.problem.sigma
 
     @property
@@ -60,17 +60,17 @@ class ResidualSpace:
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Share of an error of a row that stays in its residual, (m,)."""
+        """Redundancy of each row, (m,): derivative of its residual with respect to its error."""
         return 1.0 - self.projection.leverage()
 
     @cached_property
     def _readings(self) -> tuple[Ints, Floats]:
-        """Places (r,) of the readings in use among all, and one over their standard deviations (r, 1)."""
+        """Indices (r,) of the readings in use, and their inverse standard deviations (r, 1)."""
         place = np.flatnonzero(self.use)
         return place, 1.0 / self.sigma.reshape(-1)[place, None]
 
     def whiten(self, design: Floats, gauge: Floats | None = None) -> Floats:
-        """Rows (m, q) of a design (n, 3, q) on readings and (g, q) on known lengths."""
+        """Whitened rows (m, q) from designs (n, 3, q) of readings and (g, q) of reference lengths."""
         rows = np.zeros((self.size, design.shape[2]))
         place, weight = self._readings
         readings = design.reshape(-1, design.shape[2])
@@ -79,8 +79,14 @@ class ResidualSpace:
             rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge.whitened(gauge)
         return rows
 
+    def unwhitened(self, change: Floats) -> Floats:
+        """Readings (n, 3) [m, rad, rad] of whitened rows (m,); 0 for readings that are not in use."""
+        readings = np.zeros(self.use.shape)
+        readings[self.use] = change[: int(self.use.sum())] * self.sigma[self.use]
+        return readings
+
     def signature(self, law: Signature) -> Floats:
-        """Whitened signature (m, q) of a law, before the adjustment takes its share."""
+        """Whitened signature (m, q) of a law, before projection."""
         gauge = self.adjustment.problem.gauge
         lengths = law.gauge_design(gauge.first, gauge.second, self.adjustment.state.points)
         return self.whiten(law.design(self.sightings), lengths)
@@ -98,13 +104,13 @@ class ResidualSpace:
         return orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
 
     def augmented(self, signature: Floats) -> ResidualSpace:
-        """The residual space when signatures (m, q) are estimated too."""
+        """Residual space with signatures (m, q) in the model."""
         visible = self._visible(signature)
         residual = self.residual - visible @ (visible.T @ self.residual)
         return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
 
     def with_effects(self, laws: Sequence[Signature]) -> ResidualSpace:
-        """The residual space when some laws are estimated too."""
+        """Residual space with some laws in the model."""
         return self.augmented(np.hstack([self.signature(law) for law in laws])) if laws else self
 
     def moved_targets(self, signature: Floats) -> Floats:
@@ -116,10 +122,11 @@ class ResidualSpace:
 
 
 def orthonormal(projected: Floats, norms: Floats) -> Floats:
-    """Orthonormal columns (m, r) spanning what is `projected` (m, q) of signatures; invisible directions are dropped.
+    """Orthonormal columns (m, r) that span the `projected` signatures (m, q).
 
-    Directions are compared with the lengths `norms` (q,) of the whole signatures, so no unit and no absolute tolerance
-    enters.
+    Directions without projection are dropped.
+
+    Directions are compared with the lengths `norms` (q,) of the complete signatures, so that units have no influence.
     """
     unit = projected / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)

@@ -1,4 +1,4 @@
-"""Rows of the adjustment that are not pointings: lengths, known points and differences, levels, yaws, datum."""
+"""Rows of the adjustment other than readings: lengths, known points and differences, levels, yaws, datum."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import scipy.linalg
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap
-from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
+from ltsim.geometry.rigid import COLLINEAR_RATIO, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
 from ltsim.physics.model.measurement import verticals
 from ltsim.recordings.recording import Recording
@@ -24,19 +24,19 @@ VERTICAL = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class GaugeRows(ReferenceLengths):
-    """Known lengths brought to the workshop, some of them without weight."""
+    """Reference lengths at the workshop's temperature, some of them without weight."""
 
     idle: Bools | bool = False
-    """Lengths without weight, (g,)."""
+    """Flags (g,) of the lengths without weight."""
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviation of each length by itself, infinite for one without weight, (g,) [m]."""
+        """Standard deviation of each length, infinite for one without weight, (g,) [m]."""
         return np.where(self.idle, np.inf, super().sigma)
 
     @cached_property
     def root(self) -> Floats | None:
-        """Lower triangular root (g, g) of the correlation of the lengths; None where they share nothing."""
+        """Lower triangular root (g, g) of the correlation of the lengths; None for uncorrelated ones."""
         if not self.shared:
             return None
         together = np.array([*self.shared.values()]) / self.sigma
@@ -46,16 +46,16 @@ class GaugeRows(ReferenceLengths):
 
     @property
     def spread(self) -> Floats:
-        """Change of the lengths by independent standard deviations, the inverse of `whitened`, (g, g) [m]."""
+        """Change of the lengths by independent unit errors, the inverse of `whitened`, (g, g) [m]."""
         return np.diag(self.sigma) if self.root is None else self.sigma[:, None] * self.root
 
     def whitened(self, values: Floats) -> Floats:
-        """Values (g,) or (g, q) [m] in independent standard deviations: their errors are uncorrelated and of size 1."""
+        """Values (g,) or (g, q) [m] transformed to independent unit errors."""
         single = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
         return self.uncorrelated(single)
 
     def uncorrelated(self, single: Floats) -> Floats:
-        """Values (g, ...) in the standard deviation of each length as independent ones."""
+        """Values (g, ...), in the standard deviation of each length, transformed to independent ones."""
         return single if self.root is None else scipy.linalg.solve_triangular(self.root, single, lower=True)
 
     def __len__(self) -> int:
@@ -66,7 +66,7 @@ class GaugeRows(ReferenceLengths):
         return np.linalg.norm(points[self.first] - points[self.second], axis=1)
 
     def directions(self, points: Floats) -> Floats:
-        """Unit vectors (g, 3) from the second to the first target: derivative of the length; zero at one place."""
+        """Derivative (g, 3) of the lengths: unit vectors from the second to the first target, zero if coincident."""
         gap = points[self.first] - points[self.second]
         length = np.linalg.norm(gap, axis=1, keepdims=True)
         return gap / np.where(length > 0.0, length, 1.0)
@@ -74,16 +74,18 @@ class GaugeRows(ReferenceLengths):
 
 @dataclass(frozen=True)
 class ControlRows:
-    """Places with known coordinates: targets, or stations over marks that are no targets."""
+    """Rows of places with known coordinates: targets, or stations over marks that are no targets."""
 
     target: Ints
     """Index of the target, or of the station, (k,)."""
     points: Floats
-    """(k, 3) [m]."""
+    """Known coordinates, (k, 3) [m]."""
     axes: Bools
-    """Coordinates that are known, (k, 3)."""
+    """Flags of the known coordinates, (k, 3)."""
     root: Floats
-    """Whitens the gap of the known coordinates, R' R their inverse covariance; 0 for the others, (k, 3, 3) [1 / m]."""
+    """Matrix R that whitens the misclosure, with R' R the inverse covariance; 0 for unknown coordinates, (k, 3, 3) [1 /
+    m].
+    """
 
     @classmethod
     def of(cls, recording: Recording) -> ControlRows:
@@ -92,7 +94,7 @@ class ControlRows:
 
     @classmethod
     def of_stations(cls, recording: Recording, marks: Marks) -> ControlRows:
-        """The known marks under stations that are no targets themselves; `points` are those of the instruments."""
+        """Rows of known marks under stations that are no targets; `points` are the positions of the instruments."""
         places = [(i, n) for i, n in enumerate(marks.names) if n and marks.target[i] < 0 and marks.first[i] == i]
         rows = cls._of_places(recording, places)
         return replace(rows, points=rows.points + marks.offset[rows.target])
@@ -112,7 +114,7 @@ class ControlRows:
         return int(self.axes.sum())
 
     def no_finer(self, floor: float) -> ControlRows:
-        """The same places, none known better than `floor` [m]."""
+        """Rows whose standard deviations are at least `floor` [m]."""
         roots = self.root.copy()
         for i, axes in enumerate(self.axes):
             at = np.ix_(axes, axes)
@@ -123,17 +125,17 @@ class ControlRows:
         return self if np.array_equal(roots, self.root) else replace(self, root=roots)
 
     def residual(self, here: Floats) -> Floats:
-        """Whitened residuals (count,) where the places are `here` (k, 3)."""
+        """Whitened residuals (count,) for places `here` (k, 3)."""
         gap = np.where(self.axes, self.points - here, 0.0)
         return np.einsum("kij,kj->ki", self.root, gap)[self.axes]
 
     def weights(self) -> Floats:
-        """Derivative (count, 3) of the whitened coordinates, with the sign of a prediction, by their place."""
+        """Derivative (count, 3) of the whitened coordinates by their place, with the sign of a prediction."""
         return self.root[self.axes]
 
 
 def _declared(declared: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
-    """Known coordinates (k, 3) [m], which of them are known, and their roots (k, 3, 3) [1 / m]."""
+    """Known coordinates (k, 3) [m], flags of known ones, and roots of inverse covariances (k, 3, 3) [1 / m]."""
     axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in declared], dtype=bool).reshape(-1, 3)
     roots = np.array([_root(entry, given_axes) for entry, given_axes in zip(declared, axes, strict=True)]).reshape(
         -1, 3, 3
@@ -142,7 +144,7 @@ def _declared(declared: Sequence[Target | ReferenceDifference]) -> tuple[Floats,
 
 
 def _root(target: Target | ReferenceDifference, axes: Bools) -> Floats:
-    """The root (3, 3) [1 / m] of known coordinates."""
+    """Root (3, 3) [1 / m] of the inverse covariance of known coordinates."""
     if target.known_covariance_mm2 is None:
         return np.diag(axes / (target.known_sigma_mm * MILLIMETRE))
     at, root = np.ix_(axes, axes), np.zeros((3, 3))
@@ -153,21 +155,21 @@ def _root(target: Target | ReferenceDifference, axes: Bools) -> Floats:
 
 @dataclass(frozen=True)
 class DifferenceRows(ControlRows):
-    """Known differences of marks: `points` are those of the places `target` less those of the places `start`.
+    """Rows of known differences of marks: `points` are the coordinates of the places `target` minus those of `start`.
 
-    Places are T targets, then S instruments, then the origin in place of marks that nobody measured: what is known of
-    them is in `points`, as are the heights of the instruments.
+    Places are T targets, then S instruments, then the origin, which represents unmeasured marks: their known
+    coordinates, and the heights of the instruments, are included in `points`.
     """
 
     start: Ints
-    """(k,)."""
+    """Place at the start of each difference, (k,)."""
     last: int
     """Number of the origin among the places."""
     names: tuple[str, ...]
 
     @classmethod
     def between(cls, recording: Recording, marks: Marks) -> DifferenceRows:
-        """The differences of a recording whose ends it tells."""
+        """Rows of the differences of a recording whose ends are measured or known."""
         places, count = places_of(recording), len(recording.targets)
         last, differences = count + len(recording.stations), recording.setup.differences
         differences = tuple(
@@ -189,7 +191,7 @@ class DifferenceRows(ControlRows):
 
     @property
     def ends(self) -> Ints:
-        """Places at either end, (2, k)."""
+        """Places at both ends, (2, k)."""
         return np.stack([self.start, self.target])
 
     def subset(self, chosen: Bools) -> DifferenceRows:
@@ -205,26 +207,26 @@ class DifferenceRows(ControlRows):
         )
 
     def predict(self, points: Floats, position: Floats) -> Floats:
-        """Differences (k, 3) [m] where targets are at `points` (T, 3) and instruments at `position` (S, 3)."""
+        """Differences (k, 3) [m] for targets at `points` (T, 3) and instruments at `position` (S, 3)."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
         return places[self.target] - places[self.start]
 
     def derivatives(self) -> Floats:
-        """Derivative (count, 6) of the whitened differences by the places of both ends; that of the origin is 0."""
+        """Derivative (count, 6) of the whitened differences by the places of both ends, 0 for the origin."""
         signs = np.where(self.ends == self.last, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.root)], axis=2)[self.axes]
 
     def height_free(self, open_: Bools) -> Bools:
-        """Flags (T + S + 1,) of open heights that no difference determines: it determines one end from the other."""
+        """Flags (T + S + 1,) of undetermined heights that no difference connects to a determined one."""
         open_, ends = open_.copy(), self.ends[:, self.axes[:, 2]]
         while (half := open_[ends[0]] != open_[ends[1]]).any():
             open_[ends[:, half]] = False
         return open_
 
     def motion(self, centre: Floats, reach: float) -> Floats:
-        """Derivatives (count, 6) of the known coordinates by translation and rotation, in the units of `free_motions`.
+        """Derivatives (count, 6) of the known coordinates by translation and rotation, in units of `free_motions`.
 
-        A difference to the origin is a known place; a difference of two moving places changes with the rotation alone.
+        A difference to the origin is a known place; a difference of two unknown places depends on the rotation alone.
         """
         tied, size = (self.ends == self.last).any(axis=0), np.linalg.norm(self.points, axis=1, keepdims=True)
         place = np.where(self.start == self.last, 1.0, -1.0)[:, None] * self.points
@@ -236,7 +238,7 @@ class DifferenceRows(ControlRows):
 
 @dataclass(frozen=True)
 class LevelRows:
-    """Stations whose vertical axis follows a level: two tilts each against the direction of plumb."""
+    """Rows of levelled stations: two tilts each relative to the plumb line."""
 
     station: Ints
     sigma: Floats
@@ -245,7 +247,7 @@ class LevelRows:
 
     @classmethod
     def of(cls, recording: Recording, used: Bools) -> LevelRows:
-        """The levelled stations of a recording that use angles (n, 3); ranges tie no axis to the network."""
+        """Rows of the levelled stations of a recording with angles in `used` (n, 3)."""
         angles = np.bincount(recording.station, used[:, 1:].any(axis=1), len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
@@ -259,31 +261,31 @@ class LevelRows:
         return len(self.station)
 
     def no_finer(self, turn: float) -> LevelRows:
-        """The same levels, none known better than `turn` [rad]."""
+        """Rows whose standard deviations are at least `turn` [rad]."""
         return self if np.all(self.sigma >= turn) else replace(self, sigma=np.maximum(self.sigma, turn))
 
     def predict(self, rotation: Floats) -> Floats:
-        """Components (l, 2) of the stations' vertical axes across the plumb line."""
+        """Horizontal components (l, 2) of the stations' standing axes relative to the plumb line."""
         axis = rotation[self.station] @ VERTICAL
         return np.einsum("lij,lj->li", self.across, axis)
 
     def derivative(self, rotation: Floats) -> Floats:
-        """Derivative (l, 2, 3) of these by the rotation vector in the network frame."""
+        """Derivative (l, 2, 3) of these components with respect to the rotation vector in the network frame."""
         return -self.across @ cross_matrix(rotation[self.station] @ VERTICAL)
 
 
 @dataclass(frozen=True)
 class YawRows:
-    """Levelled stations whose azimuth zero is known, as by a gyroscope: one turn each about the network's z axis."""
+    """Rows of levelled stations with known azimuth zero, such as by a gyroscope: one rotation each about the z axis."""
 
     station: Ints
     sigma: Floats
     yaw: Floats
-    """(y,) [rad]: of azimuth zero, counter-clockwise from x."""
+    """Known direction of azimuth zero, counter-clockwise from x, (y,) [rad]."""
 
     @classmethod
     def of(cls, recording: Recording, used: Bools) -> YawRows:
-        """The oriented stations of a recording that use azimuths (n, 3)."""
+        """Rows of the oriented stations of a recording with azimuths in `used` (n, 3)."""
         turned = np.bincount(recording.station, used[:, 1], len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         rows = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and turned[i]]
@@ -294,23 +296,23 @@ class YawRows:
         return len(self.station)
 
     def no_finer(self, turn: float) -> YawRows:
-        """The same azimuth zeros, none known better than `turn` [rad]."""
+        """Rows whose standard deviations are at least `turn` [rad]."""
         return self if np.all(self.sigma >= turn) else replace(self, sigma=np.maximum(self.sigma, turn))
 
     def residual(self, rotation: Floats) -> Floats:
-        """Stated less adjusted yaws (y,) [rad]."""
+        """Declared minus adjusted yaws (y,) [rad]."""
         ahead = rotation[self.station, :, 0]
         return wrap(self.yaw - np.arctan2(ahead[:, 1], ahead[:, 0]))
 
     def derivative(self, rotation: Floats) -> Floats:
-        """Derivative (y, 3) of the adjusted yaws by the rotation vector in the network frame."""
+        """Derivative (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
         ahead = rotation[self.station, :, 0]
         flat = ahead * [1.0, 1.0, 0.0]
         return np.cross(ahead, np.cross(VERTICAL, flat) / np.sum(flat**2, axis=1, keepdims=True))
 
 
 PARALLEL = 1e-2
-"""Plumb lines that differ by less do not tell the network's yaw (1e-2 rad are 64 km on the earth)."""
+"""Angle between plumb lines [rad] up to which they do not determine the yaw of the network (64 km on the earth)."""
 
 
 def free_motions(
@@ -318,8 +320,8 @@ def free_motions(
 ) -> Floats:
     """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of (translation, rotation).
 
-    Their number is decided by structure: none with three control points off one line, the four that keep the
-    vertical with levels alone, all six without either.
+    Their number follows from the kinds of constraints: none with three control points that are not collinear, four with
+    levels alone, six without constraints.
     """
     controls = [group for group in (control, marks) if len(group)]
     points = np.concatenate([group.points for group in controls]) if controls else np.zeros((1, 3))
@@ -338,7 +340,7 @@ def free_motions(
     if not rows:
         return np.eye(6)
     _, singular, right = np.linalg.svd(np.vstack(rows))
-    rank = int(np.sum(singular > ON_A_LINE * singular.max(initial=0.0)))
+    rank = int(np.sum(singular > COLLINEAR_RATIO * singular.max(initial=0.0)))
     free = right[rank:].T
     free[3:] /= reach
     free /= np.linalg.norm(free, axis=0, keepdims=True)
@@ -348,18 +350,18 @@ def free_motions(
 
 @dataclass(frozen=True)
 class Marks:
-    """Marks over which the set-ups of a recording stand."""
+    """Marks under the set-ups of a recording."""
 
     target: Ints
-    """The target whose mark a set-up stands on, -1 for none, (S,)."""
+    """Index of the target whose mark is under each set-up, -1 for none, (S,)."""
     first: Ints
-    """The first set-up on the same mark that is no target; itself where it stands alone, (S,)."""
+    """Index of the first set-up on the same mark that is no target; otherwise the set-up itself, (S,)."""
     names: tuple[str, ...]
-    """Name of the mark of each set-up, '' where it has none."""
+    """Name of the mark under each set-up, '' for none."""
     vertical: Floats
-    """Direction of plumb, unit, (S, 3)."""
+    """Unit vector of the plumb line, (S, 3)."""
     offset: Floats
-    """(S, 3) [m]: from the mark to the instrument."""
+    """Vector from the mark to the instrument, (S, 3) [m]."""
 
     @classmethod
     def of(cls, recording: Recording) -> Marks:
@@ -375,9 +377,9 @@ class Marks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def place(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up by its mark, from the target there or another set-up on it; NaN without either.
+        """Position (3,) [m] of a set-up from its mark, known as a target or by another set-up on it; NaN otherwise.
 
-        `position` (S, 3) and `points` (T, 3) [m] are NaN where nothing has a place yet.
+        `position` (S, 3) and `points` (T, 3) [m] are NaN for undetermined places.
         """
         if self.target[station] >= 0:
             return np.asarray(points[self.target[station]] + self.offset[station])
@@ -386,7 +388,7 @@ class Marks:
         return next(placed, np.full(3, np.nan))
 
     def on_marks(self, position: Floats, points: Floats) -> Floats:
-        """Positions (S, 3) put onto their marks: targets at `points` (T, 3), else that of the first set-up."""
+        """Positions (S, 3) consistent with their marks: from targets at `points` (T, 3), else from the first set-up."""
         settled = position[self.first] - self.offset[self.first] + self.offset
         over = np.flatnonzero(self.target >= 0)
         settled[over] = points[self.target[over]] + self.offset[over]

@@ -1,4 +1,4 @@
-"""Readings for the fit of one pose or point: rows of a recording as the front face would read them."""
+"""Readings for the fit of one pose or point, converted to the front face."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from ltsim.physics.model.measurement import lift_of, reduce_to_horizontal
 from ltsim.recordings.recording import Recording
 
 ROWS = 12
-"""Rows that are fitted, evenly chosen."""
+"""Largest number of rows in a fit, selected evenly."""
 FLOOR = 1e-4
-"""[share of the range, rad] Standard deviation of all readings while the coordinates are approximate."""
+"""Standard deviation [fraction of the range, rad] of all readings while coordinates are approximate."""
 
 
 @dataclass(frozen=True)
 class Sight:
-    """Rows for one fit: front-face readings (k, 3) [m, rad, rad] with NaN where not measured; horizontal distances."""
+    """Rows for one fit: front-face readings (k, 3) [m, rad, rad], NaN if not measured.
+
+    Flags of horizontal distances.
+    """
 
     readings: Floats
     horizontal: Bools
@@ -28,7 +31,7 @@ class Sight:
 
     @classmethod
     def of(cls, recording: Recording) -> Self:
-        """All rows of a recording."""
+        """Sight with all rows of a recording."""
         lift = lift_of(recording)
         lift = np.zeros((len(recording), 3)) if lift is None else lift
         return cls(to_face(recording.readings, recording.face), recording.is_horizontal, lift)
@@ -40,25 +43,25 @@ class Sight:
 
     @property
     def azimuths(self) -> Sight:
-        """The same rows with their azimuths alone."""
+        """Sight with the azimuths alone."""
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
     def without(self, observable: int) -> Sight:
-        """The same rows without their distances (0), azimuths (1) or elevations (2)."""
+        """Sight without distances (0), azimuths (1) or elevations (2)."""
         return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
 
     def at(self, rows: Ints) -> Self:
-        """Sight of some of the rows."""
+        """Sight with some of the rows."""
         return replace(self, readings=self.readings[rows], horizontal=self.horizontal[rows], lift=self.lift[rows])
 
     def few(self) -> tuple[Ints, Sight]:
-        """Subset of at most `ROWS` rows."""
+        """Selection of at most `ROWS` rows, and the sight with these."""
         k = len(self.readings)
         rows = np.arange(k) if k <= ROWS else np.linspace(0, k - 1, ROWS).astype(np.int64)
         return rows, self.at(rows)
 
     def residual(self, local: Floats) -> tuple[Floats, Floats]:
-        """Residuals (b, 3 k) in parts of the range and their derivatives (b, 3 k, 3) by the local points (b, k, 3)."""
+        """Residuals (b, 3 k) relative to the range, and their derivatives (b, 3 k, 3) by local points (b, k, 3)."""
         size, rows = local.shape[:2]
         polar = to_polar(local.reshape(-1, 3))
         by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))

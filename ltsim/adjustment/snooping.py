@@ -1,6 +1,6 @@
 """Data snooping: duplicate rows, undetermined targets, gross errors before the adjustment, outliers within it.
 
-Rejected readings are tested again after each solution, and accepted where they fit.
+Rejected readings are tested again after each solution, and accepted if they fit.
 """
 
 from dataclasses import replace
@@ -16,42 +16,47 @@ from ltsim.adjustment.stochastic_model import reweighted
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
-from ltsim.geometry.rigid import holds_pose
+from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.model.construction import ideal
 from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
 from ltsim.recordings.recording import Recording
-from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, median_deviation, unit_diagonal
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 LEAST = 10
-"""Rows without a clock that must repeat others, all of those that could, before they count as copies."""
+"""Smallest number of rows without a clock that must repeat others (all that can) before they count as copies."""
 LARGEST_ERROR = 1e-3
-"""[m] Error that no plausible tracker error reaches within `WORKSHOP`."""
+"""Error [m] beyond any plausible tracker error within `WORKSHOP`."""
 WORKSHOP = 10.0
 """[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
 FACTOR = 30.0
-"""Ratio of a miss to the robust standard deviation of all misses above which a pointing is a gross error: that of no
-noise."""
+"""Ratio of a misclosure to the robust standard deviation of all misclosures above which a pointing is a gross
+error and not noise.
+"""
 PASSES = 20
-"""Linear steps at most from approximate coordinates until no gross miss shrinks."""
+"""Largest number of linear steps from approximate coordinates until no gross misclosure decreases."""
 SETTLED = 0.9
-"""A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
+"""Ratio of successive gross misclosures below which an iteration is not converged."""
 RELAXATIONS = 8
-"""Reweightings before snooping: its single steps correct what these leave."""
+"""Number of reweightings before snooping; the single steps of snooping correct the remaining outliers."""
 ROUNDS = 20
-"""Solutions until what is left out does not change: what alternates longer is on the edge."""
+"""Largest number of solutions until the set of rejected readings is stable; readings that still alternate are
+borderline.
+"""
 STEPS = 10
-"""Iterations of a solution on the way; the last has as many as it needs."""
+"""Largest number of iterations of an intermediate solution; the last one converges."""
 UNPREDICTED = 100.0
-"""Limit [sigmas of a rejected reading]: if the network predicts the reading no better, its target is undetermined."""
+"""Standard deviation of a prediction, in sigmas of a rejected reading, above which the target
+counts as undetermined.
+"""
 
 
 def copied_rows(recording: Recording) -> Bools:
-    """(n,) True for rows that an earlier row of the same time, set-up, target and face equals in every digit.
+    """Flags (n,) of the rows that equal an earlier one of the same time, set-up, target and face in every digit.
 
-    Where the recording has no clock, two pointings may read the same by chance: then rows are copies only if every
-    repeated pointing repeats to the last digit.
+    Without a clock two pointings may be equal by chance: rows are then copies only if all repeated pointings are equal
+    in every digit.
     """
     values = np.sort(recording.readings, axis=None)
     if not np.any(values[1:] == values[:-1]):
@@ -67,7 +72,7 @@ def copied_rows(recording: Recording) -> Bools:
 
 
 def _later(rows: np.ndarray) -> Bools:
-    """(n,) True for rows that equal an earlier one."""
+    """Flags (n,) of the rows that equal an earlier one."""
     later = np.ones(len(rows), dtype=bool)
     later[np.unique(rows, axis=0, return_index=True)[1]] = False
     return later
@@ -77,9 +82,9 @@ def _later(rows: np.ndarray) -> Bools:
 
 
 def drop_undetermined(problem: NetworkProblem, state: State) -> NetworkProblem:
-    """The problem without the readings, known lengths and differences of targets that they do not determine.
+    """Problem without the readings, reference lengths and differences of undetermined targets.
 
-    A length to such a target keeps its row, without weight.
+    The row of a length to such a target remains, without weight.
     """
     while True:
         loose = undetermined_targets(problem, state)
@@ -94,7 +99,7 @@ def drop_undetermined(problem: NetworkProblem, state: State) -> NetworkProblem:
 
 
 def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
-    """(T,) True for targets with readings in use that leave a direction of them open, stations taken as known."""
+    """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     whole = np.bincount(recording.target, problem.use.all(axis=1), count) > 0
     doubtful = ~whole & ~problem.structure.unseen
@@ -118,13 +123,13 @@ def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
     )
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
-    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT)
+    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
 def pose_defect(problem: NetworkProblem, state: State) -> str:
-    """A sentence: a station whose targets leave its pose open, as geometry alone decides; empty where there is none.
+    """Sentence on a station whose targets do not determine its pose, by geometry alone; empty for none.
 
-    Set-ups over marks and stations without readings are not asked.
+    Set-ups over marks and stations without readings are excluded.
     """
     recording, marks = problem.model.recording, problem.marks
     sighted = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
@@ -133,37 +138,36 @@ def pose_defect(problem: NetworkProblem, state: State) -> str:
     vertical = np.full((len(sighted), 3), np.nan)
     vertical[problem.levels.station] = problem.levels.vertical
     free = np.array([not name for name in marks.names]) & sighted.any(axis=1)
-    few = np.flatnonzero(free & ~holds_pose(state.points, sighted, vertical))
+    few = np.flatnonzero(free & ~determines_pose(state.points, sighted, vertical))
     if not len(few):
         return ""
     levelled = few[0] in problem.levels.station
-    what = "two targets that are not above one another" if levelled else "three targets off one line"
-    return f"station {recording.stations[few[0]]} sees fewer than {what}; a pose needs them"
+    what = "two targets that are not above one another" if levelled else "three targets that are not on one line"
+    return f"station {recording.stations[few[0]]} sees fewer than {what}, which a pose needs"
 
 
 # --- before the adjustment ----------------------------------------------------------------------------------------
 
 
 class Screened(NamedTuple):
-    """A recording without the readings to targets that nothing ties to the rest, and where its network begins."""
+    """Recording without readings to unconnected targets, and the start of its network."""
 
     recording: Recording
     network: tuple[Floats, Floats, Floats]
-    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3), freed of the start's own errors."""
+    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3), after correction of errors in the start values."""
     gross: Bools
-    """Pointings that land elsewhere by more than any tracker error, (n,)."""
+    """Flags (n,) of the pointings with errors beyond any tracker error."""
     lost: Bools
-    """Targets that nothing ties to the rest, (T,)."""
+    """Flags (T,) of the targets that are not connected to the network."""
 
 
 @refusing_singular
 def screen_gross_errors(recording: Recording) -> Screened:
-    """Begin a network and screen out gross pointings; raises NetworkError.
+    """Start of a network, and its gross pointings; raises NetworkError.
 
-    These miss their target by far more than the rest of the recording does: a swapped or misnamed reflector, a wrong
-    unit in one row. A long chain of stations that was joined one by one does not close; what looks gross there may only
-    be that. So where anything looks gross the network is relaxed, with such pointings held loosely, until the verdict
-    stands.
+    Gross pointings have far larger misclosures than the others: an exchanged or misnamed reflector, a wrong unit in one
+    row. A long chain of stations that were joined one by one does not close, which looks similar. If any pointing seems
+    gross, the network is therefore iterated with reduced weights of such pointings until the set is stable.
     """
     reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
@@ -180,7 +184,7 @@ def screen_gross_errors(recording: Recording) -> Screened:
 
 
 def _excess(model: MeasurementModel, state: State) -> Floats:
-    """Miss (n,) of each pointing in parts of what is still no gross error."""
+    """Misclosure (n,) of each pointing divided by the limit for gross errors."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap(gap[:, 1:])
@@ -193,7 +197,10 @@ def _excess(model: MeasurementModel, state: State) -> Floats:
 
 
 def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: Floats) -> tuple[State, float]:
-    """The state after a step with standard deviations so many times as large, and its squared length; 0: singular."""
+    """State after a step with standard deviations multiplied by `loose`, and its squared length.
+
+    It is 0 for a singular system.
+    """
     try:
         system = replace(problem, sigma=problem.sigma * loose).system(state, prediction)
         step = BlockFactor(system).step()
@@ -208,20 +215,19 @@ def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: 
 def snoop_readings(
     problem: NetworkProblem, state: State, rounds: int = ROUNDS
 ) -> tuple[NetworkProblem, Solution[State]]:
-    """The problem without its outliers, and its solution; every reading in `use` may be used, `state` is near it.
+    """Problem without outliers, and its solution.
 
-    Reweighting finds a network that many outliers together do not bend; readings that it rejects are left
-    out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
+    All readings in `use` may be used, and `state` is an approximate solution.
+
+    Reweighting gives a network that many outliers do not distort, and readings that it rejects are removed. Data
+    snooping follows, and removed readings are tested again against the network without them.
     """
+    limit = critical_w(int(problem.use.sum()))
     state, _ = reweighted(problem, state, int(problem.use.sum()), least=1e-3, steps=RELAXATIONS)
-    prediction = problem.model.linearised(state)
     try:
-        factor = BlockFactor(problem.system(state, prediction))
+        rejected = _rejected(problem, state, limit)
     except SingularSystemError:
         return problem, solve(problem, state)
-    limit = critical_w(int(problem.use.sum()))
-    w, scale, _ = _tested(problem, problem, prediction.readings, factor)
-    rejected: Bools = w > limit * scale
     tried: set[bytes] = set()
     placed, target = state.points, problem.model.recording.target
     while True:
@@ -252,8 +258,17 @@ def snoop_readings(
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
 
 
+def _rejected(problem: NetworkProblem, state: State, limit: float) -> Bools:
+    """Readings (n, 3) in use whose test statistic is over `limit`; SingularSystemError where unknowns are open."""
+    prediction = problem.model.linearised(state)
+    readings, system = prediction.readings, problem.system(state, prediction)
+    del prediction
+    w, scale, _ = _tested(problem, problem, readings, BlockFactor(system))
+    return np.asarray(w > limit * scale)
+
+
 def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Set-ups (S,) of which more readings are rejected (n, 3) than used."""
+    """Flags (S,) of the set-ups with more rejected readings (n, 3) than used ones."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations)) for rows in (rejected, problem.use)
@@ -262,19 +277,19 @@ def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
 
 
 def whitened_readings(problem: NetworkProblem, state: State) -> Floats:
-    """Residuals (n, 3) in standard deviations of the readings, without sign; 0 where not measured."""
+    """Absolute residuals (n, 3) in standard deviations of the readings; 0 if not measured."""
     return _whitened(problem, problem.model.predict(state))
 
 
 def _whitened(problem: NetworkProblem, readings: Floats) -> Floats:
-    """The same for predicted readings (n, 3)."""
+    """Absolute residuals (n, 3) in standard deviations, as `whitened_readings`, for given predicted readings (n, 3)."""
     return np.nan_to_num(np.abs(problem.residuals(readings) / problem.sigma))
 
 
 def prediction_spread(
     problem: NetworkProblem, solution: Solution[State], omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
-    """Standard deviations (k,), over the declared, of the misses of `omitted` (n, 3) readings by their predictions.
+    """Standard deviations (k,) of the deviations of `omitted` (n, 3) readings from predictions, over the declared.
 
     The `prediction` is that of the solution's state, computed here by default.
     """
@@ -288,9 +303,9 @@ def prediction_spread(
 def _tested(
     problem: NetworkProblem, reduced: NetworkProblem, readings: Floats, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
-    """|w| (n, 3) of the readings of `reduced`, the scale of its noise, and the redundancy (n, 3).
+    """Values |w| (n, 3) of the readings of `reduced`, the scale of the noise, and redundancy numbers (n, 3).
 
-    The factor is that of the state by which the `readings` (n, 3) are predicted.
+    `factor` belongs to the state that predicts the `readings` (n, 3).
     """
     redundancy = redundancy_of(reduced, factor)
     w = normalised(reduced, problem.residuals(readings), redundancy)
@@ -300,7 +315,7 @@ def _tested(
 def _retested(
     problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[State], rejected: Bools, limit: float
 ) -> Bools:
-    """Rejected readings (n, 3) anew: those left out that still do not fit, and kept ones that now do not."""
+    """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None
     out = rejected & problem.use
     targets, stations = problem.model.recording.target, problem.model.recording.station

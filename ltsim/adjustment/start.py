@@ -1,4 +1,4 @@
-"""Approximate coordinates from the recording alone: stations joined one by one, in closed form where possible."""
+"""Approximate coordinates from the recording alone: stations are joined one by one, in closed form if possible."""
 
 from dataclasses import replace
 
@@ -24,22 +24,21 @@ from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.recordings.recording import Recording
 
 SEEDS = ("frame", "cloud", "ranges", "places", "bearings")
-"""Methods to begin a network: from known points, from points that one station measured completely, from ranges alone,
-from all roughly declared places, from a plan of directions between known points."""
+"""Starts of a network: known points, points of one station, ranges alone, approximate positions, plan of directions."""
 
 
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
-    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m]; which targets (T,) the readings tie to nothing.
+    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m], and flags (T,) of unconnected targets.
 
-    Levels and known points define the frame where there are any, else it is the first station's. The station that
-    shares most known targets is joined next; where too few were measured with range and both angles, single beams are
-    intersected, stations resected, and a network of ranges alone begins by algebra. Targets that are tied to nothing
-    stand amid the others, to be left out.
+    Levels and known points define the frame if there are any, otherwise the first station. The station with most known
+    targets is joined next; if too few were measured with range and both angles, beams are intersected and stations
+    resected, and a network of ranges alone starts with a closed-form solution. Unconnected targets get a position among
+    the others and must be removed.
 
-    NetworkError when the readings do not tie a station to the rest, or hold elevations alone.
+    Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
     if not recording.measured[:, :2].any():
-        message = "the recording holds elevations alone: horizontal positions and ranges are undetermined; "
+        message = "the recording contains only elevations: horizontal positions and ranges are undetermined; "
         raise NetworkError(message + "measure azimuths or distances too")
     pairs, frame = Pairs.of(recording, flat_points(recording)), Frame.of(recording)
     grown = []
@@ -52,13 +51,13 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
 
 
 class NetworkInitialiser:
-    """Stations and targets that have a place so far, in a frame of their own until the stated one is reached.
+    """Stations and targets with approximate coordinates so far, in a local frame until the declared one is reached.
 
     Parameters
     ----------
     recording : Recording
     pairs : Pairs
-        What each station measured whole, in its own frame.
+        Completely measured targets of each station, in its own frame.
     frame : Frame
     """
 
@@ -79,7 +78,7 @@ class NetworkInitialiser:
         self._loose: list[tuple[int, int]] = []
 
     def run(self, beginning: str) -> None:
-        """Join everything that can be joined from one of `SEEDS`, then go to the stated frame."""
+        """Initialisation from one of `SEEDS`, and transformation to the declared frame."""
         getattr(self, f"_begin_with_{beginning}")()
         steps = (self._join_by_cloud, self._join_by_yaw, self._locate, self._join_by_fit, self._anchor, self._resect)
         while not self.is_complete and any(step() for step in steps):
@@ -93,13 +92,13 @@ class NetworkInitialiser:
 
     @property
     def reach(self) -> int:
-        """Number of stations and targets that have a place."""
+        """Number of stations and targets with coordinates."""
         return int(self._joined.sum() + self._have.sum())
 
     # --- what is known ---------------------------------------------------------------------------------------------
 
     def _target_places(self) -> Floats:
-        """Targets (T, 3) so far: the median of where stations place them, or where they were located."""
+        """Targets (T, 3) so far: median of their positions from stations, or located positions."""
         places = self._located.copy()
         whole = np.flatnonzero(self._covered)
         places[whole] = self._pairs.medians(self._placed, whole)
@@ -110,11 +109,11 @@ class NetworkInitialiser:
         return self._covered | np.isfinite(self._located[:, 0])
 
     def _shared(self) -> Ints:
-        """Number (S,) of targets with a place that each station measured completely."""
+        """Number (S,) of targets with coordinates that each station measured completely."""
         return np.bincount(self._pairs.station[self._have[self._pairs.target]], minlength=len(self._joined))
 
     def _stand(self, station: int) -> Floats | None:
-        """Position (3,) [m] of an unjoined station whose mark has a place already; else None."""
+        """Position (3,) [m] of an unjoined station whose mark has coordinates; else None."""
         place = self._frame.marks.place(station, self._position, self._target_places())
         return place if np.isfinite(place).all() else None
 
@@ -131,7 +130,7 @@ class NetworkInitialiser:
             self._located[mark] = position - self._frame.marks.offset[station]
 
     def _join_by_cloud(self) -> bool:
-        """Join the station that shares most targets with what is known; two will do for levelled stations."""
+        """Addition of the station with most known targets; levelled stations need two."""
         have = self._have
         shared = np.where(self._joined, -1, self._shared())
         for station in np.argsort(-shared, kind="stable").tolist():
@@ -153,7 +152,7 @@ class NetworkInitialiser:
         return False
 
     def _join_by_yaw(self) -> bool:
-        """Join an oriented station over a mark that has a place, once the network is in its frame."""
+        """Addition of an oriented station over a known mark, once the network is in its frame."""
         for station in np.flatnonzero(self._frame.oriented & ~self._joined).tolist() if self._anchored else ():
             stand = self._stand(station)
             if stand is not None:
@@ -162,12 +161,12 @@ class NetworkInitialiser:
         return False
 
     def _targets(self, which: Ints) -> Floats:
-        """Known places (k, 3) of some targets."""
+        """Known positions (k, 3) of some targets."""
         placed = self._pairs.medians(self._placed, which)
         return np.where(np.isnan(placed), self._located[which], placed)
 
     def _locate(self) -> bool:
-        """Place targets that joined stations only saw in part, and marks under joined stations."""
+        """Location of targets that joined stations measured incompletely, and of marks under joined stations."""
         recording, has_new = self._recording, False
         usable = self._joined[recording.station] & ~self._have[recording.target]
         for target, rows in grouped(recording.target, np.flatnonzero(usable)):
@@ -178,7 +177,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_new(self, key: int, effort: int) -> bool:
-        """True if a station (or a target, -1 less its number) has not failed before with as many neighbours."""
+        """True if a station (or a target, -1 minus its index) has not failed before with as many neighbours."""
         tried, self._tried[key] = self._tried.get(key), effort
         return tried != effort
 
@@ -199,7 +198,7 @@ class NetworkInitialiser:
         return fit_point(replace(sight, readings=front), position, rotation)
 
     def _join_by_fit(self) -> bool:
-        """Join a station by a fit of whatever it read to known targets."""
+        """Addition of a station by a fit of all its readings to known targets."""
         places, recording = self._target_places(), self._recording
         usable = ~self._joined[recording.station] & np.isfinite(places[recording.target, 0])
         groups = grouped(recording.station, np.flatnonzero(usable))
@@ -218,7 +217,7 @@ class NetworkInitialiser:
         return False
 
     def _resect(self) -> bool:
-        """Join a levelled station that is seen from where it looks back: its beams cross where it stands, in plan."""
+        """Addition of a levelled station by resection: beams to and from other stations intersect in plan."""
         recording, over = self._recording, self._frame.marks.target
         places, ahead, turn = self._target_places(), self._rotation[:, :, 0], self._front[:, 1]
         for row in np.flatnonzero(self._joined[recording.station] & ~self._have[recording.target]).tolist():
@@ -246,7 +245,7 @@ class NetworkInitialiser:
         self._position, self._placed, self._located = moved
 
     def _anchor(self) -> bool:
-        """Go to the stated frame as soon as the network reaches enough of it."""
+        """Transformation to the declared frame as soon as the network has enough of its points."""
         if self._anchored or not self._frame.has_places:
             return False
         turn = self._frame.upright(self._rotation, self._joined)
@@ -261,7 +260,7 @@ class NetworkInitialiser:
         return True
 
     def _to_final_frame(self) -> None:
-        """Bring the finished network into its frame: the stated one, the floor plan's, or that of the first station."""
+        """Transformation of the network to its frame: the declared one, the floor plan, or the first station's."""
         self._level_stations()
         if self._anchored or not self._joined.any() or self._anchor():
             return
@@ -281,7 +280,7 @@ class NetworkInitialiser:
             self._move(*motion)
 
     def _level_stations(self) -> None:
-        """Stations that read no angle stand upright: along the others' axes, or on the floor plan."""
+        """Rotations of stations without angles: upright, along the axes of the others or of the floor plan."""
         measured = np.isfinite(self._front[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, measured, len(self._joined)) > 0
         if reads_angles.any():
@@ -298,13 +297,13 @@ class NetworkInitialiser:
     # --- beginnings ------------------------------------------------------------------------------------------------
 
     def _begin_with_frame(self) -> None:
-        """Begin with the known points."""
+        """Start with the known points."""
         self._located = self._frame.points.copy()
         self._position = self._frame.stations.copy()
         self._anchored = self._upright = self._frame.has_places
 
     def _begin_with_cloud(self) -> None:
-        """Begin with a station that measured targets whole."""
+        """Start with a station that measured targets completely."""
         counts = np.diff(self._pairs.begin)
         if not counts.any():
             return
@@ -316,7 +315,7 @@ class NetworkInitialiser:
         self._place(first, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
-        """All stations that read the ranges of the same targets."""
+        """Start with all stations that measured ranges to the same targets."""
         ranges = np.full((len(self._joined), len(self._located)), np.nan)
         ranges[self._recording.station, self._recording.target] = self._front[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
@@ -326,7 +325,7 @@ class NetworkInitialiser:
             self._located[targets], self._planned = self._frame.placed(stations, network[0], targets, network[1])
 
     def _begin_with_places(self) -> None:
-        """Begin with every place that is stated, well or roughly; stations look as their azimuths say on average."""
+        """Start with all declared positions, known or approximate, and rotations averaged from azimuths."""
         self._begin_with_frame()
         self._located, marks = self._frame.near.copy(), self._frame.marks
         on_marks = self._located[marks.target] + marks.offset
@@ -339,7 +338,7 @@ class NetworkInitialiser:
             self._place(station, declared[station], about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """Begin with the plan that directions of upright stations, and lengths in plan, put together."""
+        """Start with the plan from directions of upright stations and from horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         rows = np.flatnonzero(frame.level[recording.station] & np.isfinite(self._front[:, 1]))
         if not len(rows) or np.isfinite(self._front[:, 2]).any():
@@ -363,13 +362,13 @@ class NetworkInitialiser:
 
     @property
     def loose(self) -> str:
-        """Lines of the plan whose length nothing tells, in words."""
+        """Text of the lines of the plan without a determined length."""
         names = [*self._recording.targets, *self._recording.stations]
         lines = listing([f"{names[a]}-{names[b]}" for a, b in self._loose])
-        return f"; in plan nothing tells the length of the lines {lines}" if lines else ""
+        return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, loose: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
-        """Positions, rotations and targets, and the targets without a place; NetworkError as of `initial_network`."""
+        """Result of `initial_network`: positions, rotations and targets, flags of unconnected targets."""
         self._require_stations(loose)
         points = self._target_places()
         lost = np.asarray(np.isnan(points).any(axis=1))
@@ -377,7 +376,7 @@ class NetworkInitialiser:
         return (self._frame.marks.on_marks(self._position, points), self._rotation, points), lost
 
     def _require_stations(self, loose: str) -> None:
-        """NetworkError with the names of the stations that have no place, or of the targets where none has one."""
+        """Check that all stations have coordinates; raises NetworkError with the names of those without."""
         recording = self._recording
         if not self._joined.all():
             lost = listing([recording.stations[s] for s in np.flatnonzero(~self._joined)])
@@ -386,15 +385,15 @@ class NetworkInitialiser:
             most, pair_targets = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
             placed = pair_targets[self._have[pair_targets]]
             if most >= 3 and on_a_line(self._target_places()[placed]):
-                what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
+                what = f"the {most} targets that it shares with the network lie on one line; three that do not"
             else:
-                what = f"shares only {most} target{'s' * (most != 1)} with the rest of the network; at least three"
+                what = f"shares only {most} target{'s' * (most != 1)} with the network; at least three"
             raise NetworkError(
                 f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are "
-                f'missing), or rough coordinates of all; a station over a target states it with over = "TARGET"{loose}'
+                f'missing), or approximate coordinates of all; for a station over a target, set over = "TARGET"{loose}'
             )
         if not self._have.any():
             raise NetworkError(
-                f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and what was "
-                "read from different stations does not meet in one point"
+                f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and "
+                "the lines of sight from different stations do not meet in one point"
             )

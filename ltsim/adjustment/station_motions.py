@@ -1,4 +1,4 @@
-"""Motions of stations while they measure, as effects that an adjustment estimates, and their sentences.
+"""Motions of stations during their measurement, as effects that an adjustment estimates, and sentences on them.
 
 A tripod that sinks, or that somebody touched, bends all that is measured from it; which station moved is decided in
 `identification`.
@@ -19,15 +19,17 @@ from ltsim.physics.effects.station_bump import StationBump
 from ltsim.scene.sightings import Sightings
 
 WITNESSES = 3
-"""Targets that a motion of the station needs: what fewer show may be their own."""
+"""Smallest number of targets that must support a motion of the station; with fewer the targets may have moved."""
 
 
 @dataclass(frozen=True)
 class EvenMotion(StationMotion):
-    """An even motion of a station during its visit, by its end; no cause of the catalogue, for many make it.
+    """Uniform motion of a station during its visit, parametrised by the final displacement.
 
-    A target that is watched without a break counts at one time: what changes meanwhile may be the target's own, and
-    only who comes back to it learns of the station.
+    It is no effect of the catalogue, because many causes produce it.
+
+    Consecutive pointings to one target count at one time: changes during them may be motions of the target, and only
+    later repeats show the station's motion.
     """
 
     name = "station-motion"
@@ -37,7 +39,7 @@ class EvenMotion(StationMotion):
     parameters = StationBump.parameters
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Share of the whole motion at each pointing, for each component."""
+        """Fraction of the complete motion at each pointing, for each component."""
         longest = np.full(len(sightings.station_names), 1e-9)
         np.maximum.at(longest, sightings.station, sightings.station_time)
         share = by_runs(sightings).station_time / longest[sightings.station]
@@ -46,7 +48,7 @@ class EvenMotion(StationMotion):
 
 @dataclass(frozen=True)
 class SuddenMotion(StationBump):
-    """A motion of a station at once, in one gap between its pointings, whoever made it."""
+    """Sudden motion of a station in one gap between its pointings, of any cause."""
 
     name = EvenMotion.name
 
@@ -55,13 +57,13 @@ Motion = EvenMotion | SuddenMotion
 
 
 def by_runs(sightings: Sightings) -> Sightings:
-    """The sightings, those of a target that is watched without a break at one time."""
+    """Sightings in which consecutive pointings to one target have equal times."""
     _, run = np.unique(np.stack([sightings.station, sightings.seating]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
-    """Each motion of a station among an adjustment's effects that no cause has, and a sentence on it."""
+    """Motions of stations in an adjustment that no identified cause explains, and a sentence on each."""
     first = 0
     for effect in adjustment.effects:
         columns = slice(first, first := first + len(effect.parameters))
@@ -71,7 +73,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
             parts = " and ".join(
                 _length(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
             )
-            moved = f"moves while it measures, by {parts} in all"
+            moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
                 order = sightings.order[effect.mask(sightings)[sightings.order] > 0]
@@ -84,6 +86,6 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
 
 
 def _length(vector: Floats, covariance: Floats, unit: str) -> str:
-    """The length of a vector (3,) with its standard deviation, in words."""
+    """Text of the length of a vector (3,) with its standard deviation."""
     length = float(np.linalg.norm(vector))
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)

@@ -1,4 +1,4 @@
-"""Stochastic model of a network: robust weights of all observations, and variance components of groups of readings."""
+"""Stochastic model of a network: robust weights of all observations, variance components of groups of readings."""
 
 from __future__ import annotations
 
@@ -8,50 +8,50 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-import scipy.sparse as sp
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import FAR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.solve.design import Design, median_deviation
+from ltsim.solve.design import median_deviation, weighted
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
 HUBER, CAUCHY = 2.0, 2.385
-"""Residuals, in robust standard deviations, from which weights of Huber fall and at which those of Cauchy are one half:
-of normal residuals 97 and 95 % efficiency."""
+"""Residuals, in robust standard deviations, above which Huber's weights decrease, and at which Cauchy's weights are one
+half; the efficiencies for normal residuals are 97 and 95 %.
+"""
 MANY = 0.02
-"""Share of readings with residuals above `FAR` declared standard deviations that is many."""
+"""Fraction of readings with residuals above `FAR` declared standard deviations above which they are many."""
 STEPS = 25
 """Reweightings at most, each with a linear step."""
 STILL = 1e-2
-"""Squared length of a step, in standard deviations, after which the state moves no more."""
+"""Squared length of a step, in standard deviations, below which the iteration has converged."""
 
 
 def observations(problem: NetworkProblem) -> int:
-    """Number of rows that are observations: readings, then reference values; what follows holds or regularises."""
+    """Number of rows that are observations (readings, then reference values); later rows are constraints and priors."""
     return problem.level_rows.stop + len(problem.yaws)
 
 
 def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
-    """State with all observations reweighted as of `reweighted`, and the whitened residuals (m,) there."""
+    """State with robust weights of all observations, and the whitened residuals (m,) there; see `reweighted`."""
     return reweighted(problem, state, observations(problem), least=1.0, steps=STEPS)
 
 
 def reweighted(problem: NetworkProblem, state: State, count: int, *, least: float, steps: int) -> tuple[State, Floats]:
     """State by iteratively reweighted least squares, and the whitened residuals (m,) there.
 
-    By Huber's weights, which forgive a start that is far off; where many readings are far then, also by Cauchy's, which
-    keep a good start although many readings of one place contradict it.
+    Huber's weights are used, which permit a poor start; if many residuals are then large, also Cauchy's, which retain a
+    good start although many readings of one place contradict it.
 
     Parameters
     ----------
     problem : NetworkProblem
     state : State
     count : int
-        Number of rows, the first ones, that are reweighted.
+        Number of rows (the first ones) that are reweighted.
     least : float
         Lower bound of the robust standard deviation of the whitened residuals.
     steps : int
@@ -65,33 +65,33 @@ def reweighted(problem: NetworkProblem, state: State, count: int, *, least: floa
 
 
 def are_many_far(whitened: Floats) -> bool:
-    """True if more whitened residuals (m,) are far than single errors of a recording."""
+    """True if more whitened residuals (m,) are large than single errors of a recording can explain."""
     return bool(np.mean(np.abs(whitened) > FAR) > MANY)
 
 
 def better_end(ends: Sequence[Floats]) -> int:
-    """Index of the whitened residuals (m,) with the smallest objective of Cauchy, at one scale."""
+    """Index of the whitened residuals (m,) with the smallest Cauchy objective at a common scale."""
     scale = max(min(median_deviation(whitened) for whitened in ends), 1.0)
     return int(np.argmin([np.sum(np.log1p((whitened / (CAUCHY * scale)) ** 2)) for whitened in ends]))
 
 
 def huber_weights(size: Floats) -> Floats:
-    """Weights of residuals of some sizes, in robust standard deviations (Huber 1964)."""
+    """Huber's weights (1964) of residuals in robust standard deviations."""
     return 1.0 / np.maximum(size / HUBER, 1.0)
 
 
 def cauchy_weights(size: Floats) -> Floats:
-    """Weights of residuals of some sizes, in robust standard deviations (Cauchy's; Holland and Welsch 1977)."""
+    """Cauchy's weights (Holland and Welsch 1977) of residuals in robust standard deviations."""
     return 1.0 / (1.0 + (size / CAUCHY) ** 2)
 
 
 def _searched(
     problem: NetworkProblem, state: State, count: int, least: float, steps: int, weights: Callable[[Floats], Floats]
 ) -> tuple[State, Floats]:
-    """State by one kind of weights, and the whitened residuals (m,).
+    """State with one kind of weights, and the whitened residuals (m,).
 
-    The scale of the residuals never grows: with one that follows them a large error would weigh more the more it bends
-    the network (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
+    The scale of the residuals never increases: otherwise a large error would gain weight by distorting the network
+    (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
     """
     reading, scale = int(problem.use.sum()), np.inf
     for _ in range(steps):
@@ -99,22 +99,16 @@ def _searched(
         scale = min(scale, max(median_deviation(system.residual[:reading]), least))
         root = np.ones(len(system.residual))
         root[:count] = np.sqrt(weights(np.abs(system.residual[:count]) / scale))
-        weighted = _weighted(system.design, root)
+        design = weighted(system.design, root)
         try:
-            step = BlockFactor(BlockSystem(weighted, system.residual * root, system.n_reduced)).step()
+            step = BlockFactor(BlockSystem(design, system.residual * root, system.n_reduced)).step()
         except SingularSystemError:
             break
-        state = problem.retract(state, step)
-        if float(np.sum((weighted @ step) ** 2)) < STILL:
+        state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
+        del system, design  # before the next ones take as much memory
+        if length < STILL:
             break
     return state, problem.residual(state)
-
-
-def _weighted(design: Design, weight: Floats) -> Design:
-    """A design with its rows times weights (m,)."""
-    if isinstance(design, np.ndarray):
-        return np.asarray(design * weight[:, None])
-    return sp.csr_array(design.multiply(weight[:, None]))
 
 
 Grouping = Literal["observable", "instrument"]
@@ -126,21 +120,21 @@ PASSES = 30
 ROUNDS = 6
 """Estimates of outliers at most, for given variance factors: they alternate on the edge."""
 LEAST = 3.0
-"""Redundancy below which a group says too little about its noise: it keeps the stated one."""
+"""Redundancy below which a group keeps its declared noise."""
 
 
 @dataclass(frozen=True)
 class Component:
-    """The noise of one group of readings."""
+    """Variance component: noise of one group of readings."""
 
     observable: str
     """Name of the observable, or ``level``."""
     instrument: str
-    """'' where all instruments are one group."""
+    """Name of the instrument; '' if all instruments are one group."""
     factor: float
     """Factor on the declared standard deviations."""
     sigma: float
-    """Standard deviation of `factor`; infinite where it could not be estimated."""
+    """Standard deviation of `factor`; infinite if it could not be estimated."""
     redundancy: float
     """Sum of the redundancy numbers of the group's readings."""
 
@@ -152,10 +146,10 @@ def estimated_components(
     find: Callable[[NetworkProblem, State], tuple[NetworkProblem, Solution[State]]],
     use: Bools | None = None,
 ) -> tuple[NetworkProblem, Solution[State], tuple[Component, ...]]:
-    """The problem with its standard deviations scaled group by group until each agrees with its residuals.
+    """Problem with standard deviations scaled by group until each agrees with its residuals; its solution.
 
-    `find` solves a problem, perhaps leaving readings out; it is offered all of `use` (n, 3) again with the noise found,
-    until it leaves out the same.
+    `find` solves a problem and may reject readings; it gets all readings of `use` (n, 3) again with the new noise,
+    until the rejected ones do not change.
 
     References
     ----------
@@ -192,13 +186,13 @@ def estimated_components(
 
 
 def _scaled(declared: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
-    """The problem with other standard deviations: a factor for each group, the last for the levels."""
+    """Problem with other standard deviations: a factor for each group, the last for the levels."""
     levels = replace(declared.levels, sigma=declared.levels.sigma * factor[-1])
     return replace(declared, sigma=declared.sigma * factor[group], levels=levels, use=use)
 
 
 def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:
-    """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are the last."""
+    """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are last."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
     residual = problem.residual(solution.x)

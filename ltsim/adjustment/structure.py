@@ -1,4 +1,4 @@
-"""Structure of a network: columns of the unknowns, undetermined unknowns, refusal of singular networks."""
+"""Structure of a network: columns of the unknowns, undetermined unknowns, errors for singular networks."""
 
 from __future__ import annotations
 
@@ -18,33 +18,37 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
+    """Columns of the design: poses, reduced targets, instrument parameters, additional effects; then the other targets.
 
-    Set-ups over one mark share the columns of their position, with the target where that mark is one.
+    Set-ups over one mark share the columns of their position, also with the target at that mark.
     """
 
     pose: Ints
-    """Translation, then rotation, (S, 6)."""
+    """Columns of translation and rotation of each station, (S, 6)."""
     target: Ints
-    """(T, 3): targets of known lengths and differences and those under a set-up are kept, all others are eliminated
-    block by block."""
+    """Columns of each target, (T, 3): targets of reference lengths and differences and those under a set-up are reduced
+    unknowns, all others are eliminated block by block.
+    """
     instrument: Ints
-    """(I, p)."""
+    """Columns of the instrument parameters, (I, p)."""
     extra: Ints
-    """(q,)."""
+    """Columns of the additional effects' parameters, (q,)."""
     n_reduced: int
-    """Number of kept columns K."""
+    """Number K of reduced columns."""
     size: int
     """Number of all columns."""
 
     @property
     def places(self) -> Ints:
-        """(T + S + 1, 3): columns of the places of targets and set-ups; any for the origin, which is no unknown."""
+        """Columns of the places of targets and set-ups, (T + S + 1, 3).
+
+        Those of the origin, the last, have no meaning.
+        """
         return np.concatenate([self.target, self.pose[:, :3], self.pose[:1, :3]])
 
     @classmethod
     def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks, differences: DifferenceRows) -> Unknowns:
-        """The unknowns of a model."""
+        """Columns of the unknowns of a model."""
         recording, over = model.recording, marks.target >= 0
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
@@ -71,16 +75,18 @@ class Unknowns:
 
 
 UPRIGHT = 1.0 - 1e-8
-"""Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
+"""Cosine of the inclination up to which a plumb line counts as parallel to that of the network (0.14 mrad, 900 m on the
+earth).
+"""
 
 
 @dataclass(frozen=True)
 class NetworkRows:
-    """Readings in use, what is known beside them, and the unknowns of both."""
+    """Readings in use, reference values, and the unknowns of both."""
 
     model: MeasurementModel
     use: Bools
-    """Readings in use, (n, 3)."""
+    """Flags of the readings in use, (n, 3)."""
     gauge: GaugeRows
     control: ControlRows
     levels: LevelRows
@@ -97,41 +103,43 @@ class NetworkRows:
 
     @property
     def knows_nothing(self) -> bool:
-        """True if no reference length, point, difference, level or azimuth zero is in the network."""
+        """True if the network contains no reference length, point, difference, level or known azimuth zero."""
         references = self.gauge, self.control, self.mark_control, self.differences, self.levels, self.yaws
         return not any(len(rows) for rows in references)
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Unknowns that no reading in use determines in any geometry: they are held at their present values."""
+    """Unknowns that no used reading determines for any geometry; they are fixed at their present values."""
 
     unknowns: Unknowns
     yaw: Ints
     tilt: Ints
-    """Stations without azimuths, and those without any angle or level."""
+    """Stations without azimuths, and stations without any angle or level."""
     height: Ints
-    """Levelled stations that only read azimuths and horizontal distances."""
+    """Levelled stations with azimuths and horizontal distances only."""
     unread_stations: Ints
     """Stations without any reading."""
     unseen: Bools
-    """Targets without a reading in use, known coordinates or a set-up on them, (T,)."""
+    """Flags of the targets without a used reading, known coordinates or a set-up on them, (T,)."""
     height_free_targets: Bools
-    """(T,): targets of which levelled set-ups read, or under which they read, horizontal directions and horizontal
-    distances alone: nothing tells their height."""
+    """Flags of the targets connected to levelled set-ups by horizontal directions and distances only, (T,): their
+    height is undetermined.
+    """
     oriented_stations: Ints
-    """Stations whose yaw the readings know."""
+    """Stations whose yaw is determined by readings."""
     constraints_on_unseen: int
-    """Known coordinates of unseen targets: they check nothing."""
+    """Number of known coordinates of unmeasured targets, which check nothing."""
     scale: Ints
-    """Target (one or none) whose distance from the first station the datum holds, where directions leave the scale open
-    and approximate coordinates fix it."""
+    """Target (one or none) whose distance from the first station the datum fixes, if directions leave the scale
+    undetermined and approximate coordinates define it.
+    """
     in_plan: bool
-    """True if the datum holds all heights: a vertical translation is then no datum defect."""
+    """True if the datum fixes all heights, so that a vertical translation is no datum defect."""
 
     @classmethod
     def of(cls, network: NetworkRows) -> Structure:
-        """The structure of a network, by counting."""
+        """Structure of a network, from the kinds of its readings."""
         recording, use, marks, levels = network.model.recording, network.use, network.marks, network.levels
         count = len(recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
@@ -172,7 +180,7 @@ class Structure:
 
     @property
     def held_columns(self) -> Ints:
-        """Columns (h, 3) of each row that holds."""
+        """Columns (h, 3) of each row that fixes an unknown."""
         unknowns = self.unknowns
         single = [unknowns.target[self.unseen], unknowns.pose[self.unread_stations, :3]]
         single += [unknowns.pose[self.height, 2:3], unknowns.target[self.height_free_targets, 2:3]]
@@ -192,7 +200,7 @@ class Structure:
 
     @property
     def held_poses(self) -> Bools:
-        """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
+        """Flags (S, 6) of the fixed components of poses; all three rotations if the yaw is undetermined."""
         held = np.zeros(self.unknowns.pose.shape, dtype=bool)
         held[self.yaw, 3:] = True
         held[self.tilt, 3:] = True
@@ -202,7 +210,7 @@ class Structure:
 
     @property
     def held(self) -> int:
-        """Number h of held unknowns."""
+        """Number h of fixed unknowns."""
         counted = (
             len(self.yaw) + 2 * len(self.tilt) + len(self.scale) + len(self.height) + 3 * len(self.unread_stations)
         )
@@ -210,12 +218,12 @@ class Structure:
 
     @property
     def anchors(self) -> Ints:
-        """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
+        """Stations of the datum rows: the first one with determined yaw, or all if there is none (distances alone)."""
         return self.oriented_stations[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
 
     @property
     def anchors_turn(self) -> bool:
-        """True if the datum rows also hold the rotations of the anchors."""
+        """True if the datum rows also fix the rotations of the anchors."""
         return len(self.oriented_stations) > 0
 
 
@@ -235,7 +243,7 @@ def _takes_scale(network: NetworkRows) -> bool:
 
 
 def _scale_target(network: NetworkRows) -> Ints:
-    """(1,) A target to which the first station with azimuths reads one."""
+    """Target (1,) with an azimuth from the first station that has azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.use[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first]
@@ -246,7 +254,7 @@ R = TypeVar("R")
 
 
 def refusing_singular(function: Callable[Concatenate[Recording, P], R]) -> Callable[Concatenate[Recording, P], R]:
-    """A function of a recording that raises NetworkError where its matrices are singular beyond what it handles."""
+    """Decorator for functions of a recording that raises NetworkError for matrices that are unexpectedly singular."""
 
     @wraps(function)
     def refusing(recording: Recording, /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -259,7 +267,7 @@ def refusing_singular(function: Callable[Concatenate[Recording, P], R]) -> Calla
 
 
 def _sentence(recording: Recording) -> str:
-    """The weakest station and target of a network, by their readings."""
+    """Sentence on the station and target of a network with the fewest readings."""
     count = recording.measured.sum(axis=1)
     stations = np.bincount(recording.station, count, len(recording.stations))
     targets = np.bincount(recording.target, count, len(recording.targets))

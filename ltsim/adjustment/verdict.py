@@ -14,7 +14,7 @@ from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
 ONLY_A_FEW = 0.05
-"""Share of readings up to which outliers are single errors and not the noise itself."""
+"""Largest fraction of readings that are outliers at which they count as single errors and not as wrong noise."""
 
 
 NOISE_KEYS = {
@@ -30,7 +30,7 @@ class Agreement(Enum):
 
     CLEAN = "clean"
     SINGLE_ERRORS = "single errors"
-    HIDDEN_ERRORS = "single errors the sum hides"
+    HIDDEN_ERRORS = "single errors hidden in the sum"
     LARGER_NOISE = "larger noise or a systematic effect"
     SMALLER_NOISE = "smaller noise"
     UNCHECKED = "nothing to test"
@@ -43,7 +43,7 @@ class Verdict:
 
     case: Agreement
     sentence: str
-    """The verdict and why, for a person."""
+    """Sentence with the verdict and its reason."""
     by_estimate: bool
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
@@ -59,10 +59,10 @@ def verdict(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> Verdict:
 
 
 def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
-    """Single errors where leaving them out heals the global test, other noise where it does not."""
+    """Verdict: single errors if their removal makes the global test pass, other noise if not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
-        sentence = "There is no redundancy: nothing can be tested, the stated noise holds."
+        sentence = "There is no redundancy: no test is possible, and the declared noise is used."
         return Verdict(Agreement.UNCHECKED, sentence, False)
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
     outliers, by_tau = adjustment.outliers(), len(adjustment.outliers(estimated=True))
@@ -74,11 +74,11 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
         sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
         return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
     if sigma0 < low and dof < FEW:
-        sentence = f"Trust the stated noise: {shown} is smaller, but not significantly with so few degrees of freedom."
+        sentence = f"Trust the declared noise: {shown} is smaller, but not significantly for few degrees of freedom."
         return Verdict(Agreement.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
-            f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too lenient; by "
+            f"Trust the estimated sigma0: {shown}, the declared noise is too large, and the w-test too tolerant; in "
             f"the tau-test {_readings(by_tau)}. {noise_to_declare(adjustment, level)}"
         )
         return Verdict(Agreement.SMALLER_NOISE, sentence.rstrip(), True)
@@ -86,7 +86,7 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
         sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
-        return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False)
+        return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}the other readings agree with the declared noise.", False)
     if dof < FEW:
         sentence = (
             f"Trust the global test: {shown}, the noise or the model is wrong; with so few degrees of freedom neither "
@@ -104,17 +104,18 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
 def _reasons(adjustment: Adjustment) -> str:
     """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated."""
     if adjustment.construction.size or adjustment.recording.is_corrected:
-        return "the noise is larger than stated or a systematic effect is missing from the model"
+        return "the noise is larger than declared or a systematic effect is missing from the model"
     return (
-        "the instrument's constants are in the readings, the noise is larger than stated, or a systematic effect is "
+        "the instrument's constants are in the readings, the noise is larger than declared, or a systematic effect is "
         "missing from the model"
     )
 
 
 def noise_to_declare(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str:
-    """Advice on the noise to declare where readings scatter less than declared, in a sentence; empty where none do.
+    """Advice on the noise to declare if readings scatter less than declared, in a sentence; empty otherwise.
 
-    Observables are taken one by one: their residuals' sum of squares over their redundancy, below what chance leaves.
+    Observables are tested separately: the sum of squared residuals divided by their redundancy must be smaller than
+    chance permits.
     """
     problem, recording = adjustment.problem, adjustment.recording
     scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
@@ -140,15 +141,15 @@ def noise_to_declare(adjustment: Adjustment, level: float = GLOBAL_LEVEL) -> str
 
 
 def _by_targets(adjustment: Adjustment) -> str:
-    """The targets whose own readings scatter far more than all others, in words."""
+    """Text of the targets whose readings scatter far more than all others."""
     named, scatter, rest = adjustment.noisy_targets
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)
-    return f"; readings to {names} scatter {scatter:.2g} times the stated noise, the others {rest:.2g} times"
+    return f"; readings to {names} scatter {scatter:.2g} times the declared noise, the others {rest:.2g} times"
 
 
 def _readings(count: int) -> str:
     if not count:
-        return "no reading is out of place"
-    return "one reading is out of place" if count == 1 else f"{count} readings are out of place"
+        return "no reading is an outlier"
+    return "one reading is an outlier" if count == 1 else f"{count} readings are outliers"

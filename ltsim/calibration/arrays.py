@@ -1,4 +1,4 @@
-"""Arrays of a calibration in SI units, from a file too, and the tables of its targets and residuals."""
+"""Arrays of a calibration in SI units (also from a file), and the tables of its targets and residuals."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ class CalibrationArrays(ValueEquality):
     prior_sigma: Floats
     """Prior standard deviations, (I, p)."""
     covariance: Floats
-    """Covariance of the estimates, zero for parameters that were held, (I p, I p)."""
+    """Covariance of the estimates, zero for fixed parameters, (I p, I p)."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Parameters that were not estimated but held at their value, (I, p)."""
+    """Flags (I, p) of the parameters that were not estimated but fixed at their value."""
     prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Parameters whose prior the readings contradict, and whose estimate follows them, (I, p)."""
+    """Flags (I, p) of the parameters whose prior the readings contradict, and whose estimate follows the readings."""
     applied_values: Floats | None = None
-    """Parameters to apply to readings; None where these are the estimates, (I, p)."""
+    """Parameters that are applied to readings, (I, p); None if these are the estimates."""
     null_space: Floats | None = field(default=None, repr=False)
-    """Combinations, in prior sigmas, that a distance method did not estimate, (k, I p); they stay at zero."""
+    """Combinations, in prior sigmas, that a distance method did not estimate, (k, I p); they remain zero."""
     targets: tuple[str, ...] = ()
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Coordinates of the targets, (T, 3) [m]."""
@@ -145,7 +145,7 @@ def _places(
     names: Sequence[str],
     file: object,
 ) -> list[int]:
-    """Indices of the file's parameters among those of the instruments; their names and units are checked."""
+    """Indices of the file's parameters among those of the instruments; names and units are checked."""
     at: list[int] = []
     for number, row in enumerate(rows, start=1):
         if (row.instrument, row.name) not in place:
@@ -162,7 +162,10 @@ def _places(
 
 
 def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
-    """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row, or no height alone."""
+    """Table of points (T, 3) [m] with covariance (T, 3, 3) [m^2].
+
+    Undetermined points have no row, undetermined heights no value.
+    """
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
     placed = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()

@@ -52,8 +52,7 @@ SHARPER = 0.975
 """A parameter counts as better known than before if its sigma over its prior sigma is below this: the readings then
 removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
 SAME = 1e-9
-"""`applied` is written only if it differs from the estimate by more than this share of the estimate or of its sigma:
-the rounding of double precision, with three digits to spare."""
+"""Smallest relative difference between `applied` and the estimate (or its sigma) that is written: above rounding."""
 MOSTLY = 0.9
 """The global test is void if the noise of more than this share of the redundancy was estimated: chi-square over
 redundancy is then 1 by construction."""
@@ -63,7 +62,7 @@ DERIVED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Fields that another calibration does not take over: they follow from its arrays, or are set when it is written."""
+"""Fields that are not copied to another calibration: derived from its arrays, or set when it is written."""
 
 
 def _none_if_empty(value: Any) -> Any:
@@ -87,7 +86,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     fit: Fit = Fit()
     """Agreement of readings and model."""
     frame: str = ""
-    """The frame of all coordinates."""
+    """Frame of all coordinates."""
     parameters: tuple[ParameterEntry, ...]
     """Estimates."""
     parameter_covariance: tuple[tuple[Finite, ...], ...] = Field(default=(), alias="covariance")
@@ -97,39 +96,39 @@ class Calibration(UncertaintyEntry, ResultFile):
     undetermined: tuple[Combination, ...] = ()
     """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations of parameters that the recording determines far better than each of their members."""
+    """Combinations of parameters that the recording determines far better than each parameter."""
     stations: tuple[StationPose, ...] = ()
-    """Poses."""
+    """Poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
-    """The paper's criteria before and after; empty for a single station, which has no comparison."""
+    """Paper's criteria before and after calibration; null for a single station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
     tests: tuple[Test, ...] = ()
-    """Test table: simple causes that the readings support, and outliers; all statements on misfit come from it."""
+    """Table of tests: simple causes that the readings support, and outliers; the basis of all statements on misfit."""
     robust: bool = False
-    """Outlying readings were excluded."""
+    """True if outlying readings were excluded."""
     noise: tuple[NoiseRow, ...] = ()
-    """Noise estimated from the readings, one entry a group."""
+    """Noise estimated from the readings, one entry per group."""
     with_constants: Fit | None = None
     """Fit of the readings with the instrument's constants estimated, where `adjust` rejects the fit without them."""
     noise_estimated: bool = False
-    """The noise was estimated from the readings, and used."""
+    """True if the noise was estimated from the readings and used."""
     verdict: VerdictEntry = VerdictEntry()
     """Verdict on the test to trust."""
     reference_values: tuple[ReferenceValueEntry, ...] = ()
-    """Reference coordinates, lengths and levels, each tested by the rest."""
+    """Reference coordinates, lengths and levels, each tested by the other observations."""
     undetermined_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
-    """Standard deviations of the axes, where declared coordinates define them (`--frame`)."""
+    """Standard deviations of the axes, if declared coordinates define them (`--frame`)."""
     correction: Correction | None = None
-    """Correction that is worth applying; null where it was not requested."""
+    """Correction that is worth applying; null if it was not requested."""
     effects: tuple[FittedEffectEntry, ...] = ()
     """Effects that were estimated with the parameters (`--with`)."""
     reflectors: tuple[ReflectorEntry, ...] = ()
     """Incidence errors of reflectors in fixed nests."""
     history_prior: bool = False
-    """Earlier calibrations were the prior."""
+    """True if earlier calibrations were the prior."""
     notes: tuple[str, ...] = ()
     """Notes on how the result was obtained, one sentence each."""
     _arrays: CalibrationArrays | None = PrivateAttr(None)
@@ -149,7 +148,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @classmethod
     def of(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
-        """The calibration of arrays with further fields; those that follow from the arrays are made here."""
+        """Calibration from its arrays and other fields."""
         factors = np.tile([p.factor for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in DERIVED} | fields
@@ -168,18 +167,18 @@ class Calibration(UncertaintyEntry, ResultFile):
         return made
 
     def with_changes(self, **changes: Any) -> Self:
-        """The calibration with other fields or arrays."""
+        """Copy of the calibration with other fields or arrays."""
         named = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
         arrays = replace(self.arrays, **{name: changes.pop(name) for name in named})
         return self._of(arrays, **changes)
 
     def _of(self, arrays: CalibrationArrays, **changes: Any) -> Self:
-        """The calibration of other arrays, with changes of its fields."""
+        """Copy of the calibration with other arrays and fields."""
         fields = {name: getattr(self, name) for name in type(self).model_fields if name not in DERIVED}
         return type(self).of(arrays, **{**fields, **changes})
 
     def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
-        """The calibration with the arrays of its parameters, and warnings for those who apply it."""
+        """Copy of the calibration with the arrays of its parameters, and warnings for their application."""
         made = self.model_copy()
         made._arrays, made._warnings = arrays, warnings
         return made
@@ -193,7 +192,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings to heed before a calibration that was read from a file is applied."""
+        """Warnings about the application of a calibration that was read from a file."""
         return self._warnings
 
     @property
@@ -208,7 +207,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
+        """Names (I p) of all parameters, with ``@instrument`` for several instruments."""
         return self.construction.names_of(self.instruments)
 
     @property
@@ -233,7 +232,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def held(self) -> Bools:
-        """Mask (I, p) of the parameters that were not estimated but held at their value."""
+        """Flags (I, p) of the parameters that were not estimated but fixed at their value."""
         return self.arrays.held
 
     @property
@@ -253,18 +252,18 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def adjustment(self) -> Adjustment | None:
-        """The adjusted network; None for a calibration that was read from a file."""
+        """Adjusted network; None for a calibration that was read from a file."""
         return self.arrays.adjustment
 
     @property
     def applied(self) -> Floats:
-        """Parameters (I, p) [SI] to take out of readings."""
+        """Parameters (I, p) [SI] that are removed from readings."""
         applied = self.arrays.applied_values
         return self.values if self.correction is None or applied is None else applied
 
     @property
     def is_rejected(self) -> bool:
-        """True if the readings contradict the model: sigma0 is significantly above 1, and not by single readings."""
+        """True if the readings contradict the model: sigma0 is significantly above 1, not due to single readings."""
         return self.uncertainty_factor > 1.0
 
     def _lines(self) -> list[str]:
@@ -314,9 +313,9 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def applied_reflectors(self) -> dict[str, Floats]:
-        """Parameters (14,) [SI] of `smr-incidence` to take out of readings, by the reflector's name.
+        """Parameters (14,) [SI] of `smr-incidence` that are removed from readings, by the reflector's name.
 
-        They are taken out with the instrument's parameters, or not at all.
+        They are removed together with the instrument's parameters, or not at all.
         """
         if not np.any(self.applied):
             return {}
@@ -331,7 +330,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         return self._of(self.arrays.part(instrument, keep), correction=None)
 
     def values_for(self, recording: Recording) -> Floats:
-        """Parameters to apply (p,) or, where instruments differ, (n, p) of each pointing of a recording.
+        """Parameters to apply to a recording, (p,), or (n, p) by pointing if instruments differ.
 
         A calibration of one instrument is applied to any recording; one of several needs the same names.
 
@@ -353,7 +352,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
 
 def _parameters(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEntry, ...]:
-    """Estimates in the units that a person reads; `applied` (I, p) [SI] is written where it is not the estimate."""
+    """Entries of the estimates in units of display; `applied` (I, p) [SI] only if it differs from the estimate."""
     several = len(arrays.instruments) > 1
     entries = []
     for i, instrument in enumerate(arrays.instruments):
@@ -380,7 +379,7 @@ def _of_each(
     entries_of: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
     estimates_of: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryT, ...]:
-    """Entries of each instrument by its values and covariance, as transformed by `estimates_of` if given."""
+    """Entries of each instrument from its values and covariance, transformed by `estimates_of` if given."""
     several, size = len(arrays.instruments) > 1, arrays.construction.size
     rows: list[EntryT] = []
     parameters = arrays.construction.parameters

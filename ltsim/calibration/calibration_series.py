@@ -1,8 +1,8 @@
-"""Calibrations of one instrument over time: the course of its parameters, and whether it has changed.
+"""Calibrations of one instrument over time: course of its parameters, and tests for changes.
 
-Two calibrations that share a prior are not independent: without information both give the prior's zero, and
-their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
-unchanged instrument would give, drawn from the prior and measured anew each time.
+Two calibrations with a common prior are not independent: without information both give the prior mean, and their
+agreement has no meaning. All tests therefore use the joint covariance of the estimates for one unchanged instrument
+that is drawn from the prior and measured independently each time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ RESOLVED = 1e-12
 """Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
 variances."""
 ROUNDS, SETTLED = 2000, 1e-4
-"""Steps of expectation and maximisation at most (they converge linearly); change of log variances that ends them."""
+"""Largest number of expectation-maximisation steps (linear convergence); change of log variances that ends them."""
 
 
 class ChiSquareEntry(Entry):
@@ -46,7 +46,7 @@ class ChiSquareEntry(Entry):
 
     @classmethod
     def of(cls, chi2: float, dof: int) -> Self:
-        """The test of a statistic."""
+        """Test from its statistic and degrees of freedom."""
         return cls(chi2=chi2, dof=dof, p_value=float(special.chdtrc(dof, max(chi2, 0.0))) if dof else 1.0)
 
 
@@ -62,20 +62,20 @@ class DifferenceEntry(Entry):
     unit: str
     """Unit of the difference and of its standard deviation."""
     p_value: Finite
-    """Two-sided p-value of the difference without a change."""
+    """Two-sided p-value of the difference."""
 
 
 class ChangeEntry(ChiSquareEntry):
     """Change between two calibrations."""
 
     from_: str = Field(alias="from")
-    """The earlier calibration."""
+    """Label of the earlier calibration."""
     to: str
-    """The later one."""
+    """Label of the later calibration."""
     changed: tuple[str, ...] = ()
-    """Parameters that differ."""
+    """Names of the parameters that differ significantly."""
     parameters: tuple[DifferenceEntry, ...] = ()
-    """All differences."""
+    """Differences of all parameters."""
 
 
 @dataclass(frozen=True)
@@ -83,24 +83,23 @@ class Population(ValueEquality):
     """Mean of an instrument's parameters, and their spread from one calibration to the next."""
 
     mean: Floats
-    """(p,) [SI]."""
+    """Mean of each parameter, (p,) [SI]."""
     covariance: Floats
-    """(p, p) [SI], of the mean."""
+    """Covariance of the mean, (p, p) [SI]."""
     spread: Floats
-    """Standard deviation of the parameters themselves between calibrations, without that of their estimates, (p,) [SI].
-    """
+    """Standard deviation of the parameters between calibrations, without that of their estimates, (p,) [SI]."""
 
 
 @dataclass(frozen=True)
 class CalibrationSeries(ValueEquality):
-    """Calibrations of one instrument in the order of time."""
+    """Calibrations of one instrument in chronological order."""
 
     labels: tuple[str, ...]
     """Labels, one per calibration."""
     calibrations: tuple[Calibration, ...]
-    """Each of one instrument, all with the same construction."""
+    """Calibrations, each of one instrument and all with the same construction."""
     days: Floats | None = None
-    """Days since the first; None where not all are dated, (K,)."""
+    """Days since the first calibration, (K,); None if a date is missing."""
 
     @classmethod
     def of(
@@ -109,9 +108,9 @@ class CalibrationSeries(ValueEquality):
         instrument: str | None = None,
         dates: Sequence[str] | None = None,
     ) -> CalibrationSeries:
-        """Series of labelled calibrations; `instrument` chooses where a calibration holds several.
+        """Series of labelled calibrations; `instrument` selects one of several.
 
-        `dates` (ISO form, one a calibration) stand in for those of the recordings behind them.
+        `dates` (ISO format, one per calibration) replace those of the recordings.
 
         Raises
         ------
@@ -144,22 +143,22 @@ class CalibrationSeries(ValueEquality):
 
     @property
     def construction(self) -> Construction:
-        """The construction all calibrations share."""
+        """Construction of all calibrations."""
         return self.calibrations[0].construction
 
     @cached_property
     def values(self) -> Floats:
-        """(K, p) [SI]."""
+        """Estimates of all calibrations, (K, p) [SI]."""
         return np.array([c.values[0] for c in self.calibrations])
 
     @cached_property
     def sigma(self) -> Floats:
-        """(K, p) standard deviations [SI]."""
+        """Standard deviations of the estimates, (K, p) [SI]."""
         return np.array([c.sigma[0] for c in self.calibrations])
 
     @cached_property
     def prior_sigma(self) -> Floats:
-        """(p,) the widest prior sigma of each parameter [SI], the unit of all that is computed here."""
+        """Largest prior sigma of each parameter, (p,) [SI], the unit of all computations here."""
         return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
 
     @cached_property
@@ -171,7 +170,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _informative(self) -> Floats:
-        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations inform on average."""
+        """Orthonormal combinations (p, r), in prior sigmas, on which the calibrations have information on average."""
         remaining = np.mean([e.remaining for e in self._evidence], axis=0)
         values, vectors = linalg.eigh(remaining)
         return vectors[:, 1.0 - values > UNINFORMATIVE]
@@ -190,7 +189,7 @@ class CalibrationSeries(ValueEquality):
         return joint
 
     def change(self, first: int, second: int) -> ChangeEntry:
-        """Change from calibration number `first` to number `second`: later minus earlier, each with its p-value.
+        """Change from calibration number `first` to number `second`: later minus earlier, with p-values.
 
         Parameters that changed are identified by Holm's procedure at `FAMILY_LEVEL`; undetermined ones have a p-value
         of 1.
@@ -223,11 +222,11 @@ class CalibrationSeries(ValueEquality):
         return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
 
     def changes(self) -> list[ChangeEntry]:
-        """Each calibration against the one before."""
+        """Changes between each calibration and the previous one."""
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 
     def constancy(self, parameter: int | None = None) -> ChiSquareEntry:
-        """Test that one set of values explains all calibrations: of all parameters, or of one by its index."""
+        """Test that all calibrations have equal parameters: all, or one by its index."""
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter is None:
             return _test(*self._contrasted(contrast, self._informative))
@@ -246,10 +245,9 @@ class CalibrationSeries(ValueEquality):
     def population(self) -> Population:
         """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
 
-        By expectation-maximisation with the mean as an unknown (Patterson and Thompson, Biometrika 58 (1971) 545), so
-        that estimating the mean from the same few calibrations does not bias the spread. The mean keeps the prior for
-        combinations that no calibration informs. The spread of a parameter that no calibration informs is the prior
-        sigma.
+        Expectation-maximisation with the mean as an unknown is used (Patterson and Thompson, Biometrika 58 (1971) 545),
+        so that the estimation of the mean from the same few calibrations does not bias the spread. The mean retains the
+        prior for combinations without information. The spread of a parameter without information is the prior sigma.
         """
         information = np.array([e.information for e in self._evidence])
         vectors = np.array([e.information_vector for e in self._evidence])
@@ -275,10 +273,10 @@ class CalibrationSeries(ValueEquality):
         return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
     def as_prior_of(self, calibration: Calibration) -> Calibration:
-        """Calibration with the history's population as its prior instead of the maker's.
+        """Calibration with the history's population as its prior in place of the specification.
 
-        For a calibration that is not part of the history. Parameters that hardly vary are taken from the history,
-        those that do from the calibration, each by its weight.
+        It applies to a calibration that is not part of the history. Each parameter is a weighted mean: one that hardly
+        varies mostly follows the history, one that varies mostly the calibration.
         """
         population, unit = self.population, self.prior_sigma
         single = single_instrument(calibration, None, "the calibration")
@@ -295,7 +293,7 @@ class CalibrationSeries(ValueEquality):
 
 
 def single_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
-    """The part of a calibration that belongs to one instrument, without its network.
+    """Part of a calibration that belongs to one instrument, without its network.
 
     Raises
     ------
@@ -311,7 +309,10 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
 
 
 def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
-    """Calibrations (of one instrument) with the parameters that none of them held; raises RecordError for none."""
+    """Calibrations (of one instrument) with the parameters that all of them estimated.
+
+    Raises RecordError if there are none.
+    """
     held = np.any([c.held[0] for c in calibrations], axis=0)
     if held.all():
         raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
@@ -319,7 +320,7 @@ def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
 
 
 def _test(gap: Floats, spread: Floats) -> ChiSquareEntry:
-    """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
+    """Chi-square test of a vector (m,) over the combinations that its covariance (m, m) determines."""
     values, vectors = linalg.eigh(0.5 * (spread + spread.T))
     resolved = values > RESOLVED * max(float(values[-1]), 0.0)
     z = (vectors[:, resolved].T @ gap) / np.sqrt(values[resolved])

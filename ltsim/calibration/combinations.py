@@ -1,4 +1,4 @@
-"""Combinations of parameters in result files: not determined, or determined far better than their members."""
+"""Combinations of parameters in result files: undetermined, or determined far better than their members."""
 
 from pydantic import Field
 
@@ -7,28 +7,28 @@ from ltsim.recordings.result_file import Entry, Finite, NonZero, OptionalFloat
 
 
 class Terms(Entry):
-    """A combination of parameters."""
+    """Combination of parameters."""
 
     combination: dict[str, Finite]
     """Coefficient of each parameter."""
 
     @property
     def terms(self) -> str:
-        """The combination in a line."""
+        """Text of the combination in one line."""
         return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
 
 
 class Combination(Terms):
-    """A combination of parameters, in prior sigmas, that is not determined."""
+    """Undetermined combination of parameters, in prior sigmas."""
 
     gain: OptionalFloat = None
-    """Share of the prior variance that the readings removed."""
+    """Fraction of the prior variance that the readings removed."""
     cure: str = ""
-    """The measurement that would determine it."""
+    """Measurement that would determine the combination."""
 
 
 class DeterminedEntry(Terms):
-    """A combination of parameters that the recording determines far better than each of them."""
+    """Combination of parameters that the recording determines far better than each of them."""
 
     combination: dict[str, NonZero] = Field(min_length=1)
     """Coefficient of each parameter; the first one names the combination and gives its scale."""
@@ -39,14 +39,14 @@ class DeterminedEntry(Terms):
     unit: str = ""
     """Unit of value and standard deviation."""
     instrument: str = ""
-    """Name of the instrument, where there are several."""
+    """Name of the instrument; empty for a single unnamed one."""
 
 
 UNDETERMINED = Table(
     "undetermined.csv",
     "combinations of parameters that are not determined",
     (
-        *texts(combination="coefficients, in units of the prior sigma", determined_by="the measurement that would"),
-        Column("information_percent", "share of the prior variance that the readings removed", shown=".1f"),
+        *texts(combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"),
+        Column("information_percent", "fraction of the prior variance that the readings removed", shown=".1f"),
     ),
 )

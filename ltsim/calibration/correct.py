@@ -1,4 +1,4 @@
-"""The same recording with the instrument's errors taken out."""
+"""Correction of a recording: the instrument's errors are removed from its readings."""
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from ltsim.recordings.recording import Recording
 def correct(
     recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False, rejected: bool = False
 ) -> Recording:
-    """The recording that an ideal tracker would have made, by a calibration of the instrument.
+    """Recording that an ideal tracker would have made, by a calibration of the instrument.
 
-    Readings are on the same face; the set-up of the result declares its instruments corrected. A row without a
-    range (or without an angle) is corrected at the place where the network puts its target, to a millimetre.
+    Readings are on the same face; the set-up of the result declares its instruments corrected. A row without a range
+    (or without an angle) is corrected at the position of its target in the network, to a millimetre.
 
     Parameters
     ----------
     recording : Recording, str or Path
-        Of the same instrument; any network.
+        Recording of the same instrument, with any network.
     calibration : Calibration, str or Path
     again : bool
         Also correct readings that the set-up declares corrected.
@@ -68,9 +68,9 @@ def correct(
 
 
 def incidence_change(recording: Recording, calibration: Calibration) -> Floats:
-    """Change (n, 3) of the readings by the incidence errors of reflectors that a calibration estimated.
+    """Change (n, 3) of the readings by the reflectors' incidence errors that a calibration estimated.
 
-    It needs the nests' directions and a rough network; without them it is zero.
+    Directions of nests and an approximate network are needed; without them it is zero.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal())
@@ -85,7 +85,7 @@ def incidence_change(recording: Recording, calibration: Calibration) -> Floats:
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
-    """Ideal raw readings (n, 3) at the points that the raw ones describe; NaN where not measured."""
+    """Ideal raw readings (n, 3) of the points that the raw readings describe; NaN if not measured."""
     raw = np.where(recording.measured, recording.readings, _filler(recording))
     ideal = to_face(to_polar(construction.point(raw, values)), recording.face)
     change = ideal - raw
@@ -94,7 +94,7 @@ def corrected_readings(recording: Recording, construction: Construction, values:
 
 
 def _filler(recording: Recording) -> Floats:
-    """Readings (n, 3) of an ideal tracker at the start network, for rows that lack one; zeros if none does."""
+    """Readings (n, 3) of an ideal tracker at the start network for incomplete rows; zeros if there are none."""
     incomplete: Bools = np.asarray(~recording.measured.all(axis=1))
     if not incomplete.any():
         return np.zeros(recording.readings.shape)

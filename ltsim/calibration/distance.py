@@ -1,4 +1,4 @@
-"""Calibration by the paper's distance objective, and the network that its parameters leave."""
+"""Calibration by the paper's distance objective, and the network adjusted with its parameters."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def calibrate_distance(
     choice: Choice | None = None,
     box: float | None = None,
 ) -> Calibration:
-    """The distance methods of `ltsim.calibrate`, whose options and errors it has (eq. 9 and 10).
+    """Distance methods of `ltsim.calibrate` (eq. 9 and 10), with its options and errors.
 
-    Stations and targets then come from an adjustment of the corrected readings; their covariance holds the
-    uncertainty of the parameters, which were estimated from the same readings.
+    Stations and targets follow from an adjustment of the corrected readings; their covariance includes the uncertainty
+    of the parameters, which were estimated from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
     built = construction or declared_construction(recording)
@@ -105,12 +105,12 @@ def calibrate_distance(
 
 
 def _fit(propagation: Propagation) -> Fit:
-    """The fit of the network that the parameters leave; `dof` is the chi-square to expect, to the nearest integer."""
+    """Fit of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.estimate
     mean, variance = propagation.chi2_moments()
     expected = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected > 0
-    status = "capped", "the cap on iterations was reached before the steps became small"
+    status = "capped", "the limit of iterations was reached before the steps became small"
     if estimate.converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
     return Fit(
@@ -133,26 +133,26 @@ def _undetermined(
         return result.undetermined_of(adjustment, construction, [list(estimate.undetermined)], advise=advise)
     names = construction.names_of(instruments)
     return tuple(
-        Combination(combination=d.coefficients(names), gain=d.gain, cure="use the network method, which names a cure")
+        Combination(combination=d.coefficients(names), gain=d.gain, cure="try the network method")
         for d in estimate.undetermined
     )
 
 
 @dataclass(frozen=True)
 class Propagation:
-    """Propagation of the error of parameters estimated beforehand through the adjustment of corrected readings.
+    """Propagation of the error of previously estimated parameters through the adjustment of corrected readings.
 
     With e the whitened noise of readings and gauge, A the adjustment, D its design, B the design of the parameters and
-    dx their error, the network errs by A e - A B dx and leaves the residuals R e - R B dx, R = 1 - D A. The parameters
-    come from the same readings: their error is correlated with e, and an estimator other than the adjustment's own
-    leaves more in the residuals than the degrees of freedom say.
+    dx their error, the error of the network is A e - A B dx and the residuals are R e - R B dx, R = 1 - D A. The
+    parameters are estimated from the same readings: their error is correlated with e, and the residuals of an estimator
+    other than the adjustment are larger than the degrees of freedom imply.
     """
 
     recording: Recording
-    """Recording, uncorrected."""
+    """Uncorrected recording."""
     construction: Construction
     values: Floats
-    """(I, p)."""
+    """Estimated parameters, (I, p) [SI]."""
     estimate: Estimates
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
@@ -163,18 +163,18 @@ class Propagation:
 
     @cached_property
     def _design(self) -> Floats:
-        """(m, size) whitened design of readings and gauge."""
+        """Whitened design of readings and gauge, (m, size)."""
         rows = len(self._used) + len(self.adjustment.problem.gauge)
         return as_dense(self.adjustment.solution.system.design[:rows])
 
     @cached_property
     def _response(self) -> Floats:
-        """Matrix A, (size, m)."""
+        """Matrix A of the adjustment, (size, m)."""
         return self.adjustment.factor.covariance_columns(np.ascontiguousarray(self._design.T))
 
     @cached_property
     def _by_parameter(self) -> Floats:
-        """B in units of the prior sigmas; gauge lengths do not depend on the parameters, (m, I p)."""
+        """Design B in units of the prior sigmas, (m, I p); gauge lengths do not depend on the parameters."""
         recording, (count, size) = self.recording, self.values.shape
         state = self.adjustment.state
         at = State(state.position, state.rotation, state.points, self.values)
@@ -188,7 +188,7 @@ class Propagation:
 
     @cached_property
     def _with_noise(self) -> Floats:
-        """Covariance of the whitened noise with the parameters' error, (m, I p)."""
+        """Covariance of the whitened noise and the parameters' error, (m, I p)."""
         readings = 3 * len(self.recording)
         noise = self.estimate.noise
         return np.concatenate([noise[:, self._used], noise[:, readings:]], axis=1).T
@@ -203,7 +203,7 @@ class Propagation:
         return columns - self._design @ (self._response @ columns)
 
     def chi2_moments(self) -> tuple[float, float]:
-        """Expected value and variance of the adjustment's chi-square, if model and stated noise hold."""
+        """Expected value and variance of the adjustment's chi-square for a correct model and declared noise."""
         systematic, noise = self._residual_part(self._by_parameter), self._residual_part(self._with_noise)
         both = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])
@@ -214,7 +214,7 @@ class Propagation:
         return free + float(np.trace(mixed)), 2 * (free + 2 * float(np.trace(mixed)) + float(np.sum(mixed * mixed.T)))
 
     def chi2_tail(self, chi2: float) -> float:
-        """Chance of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""
+        """Probability of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""
         mean, variance = self.chi2_moments()
         scale = variance / (2 * mean)
         return float(special.chdtrc(mean / scale, max(chi2 / scale, 0.0)))

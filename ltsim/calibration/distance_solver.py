@@ -1,14 +1,14 @@
-"""The paper's calibrator: parameters that make distances agree between stations and with the gauge (eq. 9).
+"""Estimator of the paper: parameters that make distances agree between stations and with the gauge (eq. 9).
 
-Least squares and least absolute deviations, both by Gauss-Newton; a step of the latter is a linear program's solution.
-The objective as printed estimates up to 78 parameters without asking whether the data hold them. `solve_distances`
-estimates only combinations whose estimate is more certain than the prior (gain above one half), the unknowns scaled by
-their priors; the others stay at zero and keep their prior uncertainty: nothing is estimated blindly. That is no minimum
-of eq. 9, which `solve_equation_9` finds, in a box or anywhere: it leaves out only combinations that do not
-change the objective, and so fits noise where the readings determine little; it is here for comparison and reproduction.
+Least squares and least absolute deviations both use Gauss-Newton steps; a step of the latter is the solution of a
+linear program. The objective as printed estimates up to 78 parameters even if the data do not determine them.
+`solve_distances` estimates only combinations whose estimate is more precise than the prior (gain above one half); the
+others remain zero with their prior uncertainty. That is no minimum of eq. 9. `solve_equation_9` computes the minimum,
+optionally within a box: it excludes only combinations that do not change the objective, and therefore fits noise if the
+readings determine little. It serves for comparison and reproduction.
 
-The objective ignores that distances share points, so its own covariance would be too small. The covariance given
-here propagates the stated noise of every reading (and of the gauge) through the estimator.
+The objective ignores that distances share points, so its own covariance would be too small. The covariance computed
+here propagates the declared noise of every reading (and of the gauge) through the estimator.
 """
 
 from dataclasses import dataclass
@@ -25,11 +25,13 @@ from ltsim.core.errors import ModelError, NetworkError
 from ltsim.solve.absolute import least_absolute
 
 CAP, CLOSED = 30, 1e-7
-"""Largest number of steps; converged when no unknown moves by more than this share of its prior sigma."""
+"""Largest number of steps, and largest change of an unknown, in prior sigmas, at which the iteration has converged."""
 LEAST_CAP, LEAST_CLOSED = 60, 1e-9
-"""The same for the minimum of eq. 9; it has also converged when the objective falls by less than this share."""
+"""Largest number of steps, and relative change at which the iteration has converged, for the minimum of eq. 9; the
+change is that of an unknown (in prior sigmas) or of the objective.
+"""
 NOTHING = 1e-9
-"""A combination changes no compared distance if its singular value over the largest is below this (rounding)."""
+"""Singular value, relative to the largest, below which a combination changes no compared distance (rounding)."""
 
 Norm = Literal["squares", "absolute"]
 
@@ -46,14 +48,14 @@ class Separations:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Unknowns in units of their prior sigmas, and how they depend on the noise."""
+    """Estimates in units of their prior sigmas, and their dependence on the noise."""
 
     unknowns: Floats
-    """(q,)."""
+    """Estimated unknowns, (q,)."""
     covariance: Floats
-    """(q, q): of the error, that of the combinations left at zero included."""
+    """Covariance of the error, including combinations fixed at zero, (q, q)."""
     noise: Floats
-    """Covariance of the error with the whitened readings and gauge lengths, (q, 3 n + g)."""
+    """Covariance of the error and the whitened readings and gauge lengths, (q, 3 n + g)."""
     undetermined: tuple[Direction, ...]
     objective: float
     """Objective at the minimum: [m^2] for least squares, [m] for absolute deviations."""
@@ -62,14 +64,14 @@ class Estimates:
 
 
 def mean_rows(problem: DistanceProblem, distances: Distances) -> Separations:
-    """Rows whose sum of squares is eq. 9 squared: deviations from the mean over sets times the root of their number."""
+    """Rows whose sum of squares is eq. 9 squared: weighted deviations from the mean over sets."""
     centre, count = centring(distances)
     scaled = sp.diags_array(np.sqrt(count)) @ centre
     return _with_gauge(problem, distances, sp.csr_array(scaled))
 
 
 def pair_rows(problem: DistanceProblem, distances: Distances) -> Separations:
-    """The terms of eq. 9 one by one: differences between pairs of sets, then gauge terms."""
+    """Single terms of eq. 9: differences between pairs of sets, then gauge terms."""
     first, second = set_pairs(distances)
     problem._check_size(len(first))
     count = len(distances.length)
@@ -77,7 +79,7 @@ def pair_rows(problem: DistanceProblem, distances: Distances) -> Separations:
 
 
 def _selected(at: Ints, count: int) -> sp.csr_array:
-    """Matrix (k, count) that picks the rows `at` (k,)."""
+    """Matrix (k, count) that selects the rows `at` (k,)."""
     return sp.csr_array((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), count))
 
 
@@ -98,14 +100,14 @@ def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_
 def solve_distances(
     problem: DistanceProblem, norm: Norm, *, start: Floats | None = None, held: Bools | None = None
 ) -> Estimates:
-    """Minimise eq. 9 over the combinations that the readings determine.
+    """Minimum of eq. 9 over the combinations that the readings determine.
 
-    From zero, or from `start` (q,), where unknowns that are `held` (q,) stay.
+    The iteration starts at zero or at `start` (q,); unknowns that are `held` (q,) keep their start value.
 
     Raises
     ------
     NetworkError
-        When no pair of targets was measured from two stations (or faces), and there is no gauge.
+        If no pair of targets was measured from two stations (or faces), and there is no gauge.
     """
     unknowns, free = _begun(problem, start, held)
     rows = mean_rows(problem, problem.at(unknowns))
@@ -129,7 +131,7 @@ def solve_equation_9(
     start: Floats | None = None,
     held: Bools | None = None,
 ) -> Estimates:
-    """The minimum of eq. 9, with every unknown within `box` prior sigmas; arguments and errors of `solve_distances`.
+    """Minimum of eq. 9 with every unknown within `box` prior sigmas; arguments and errors as `solve_distances`.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def solve_equation_9(
 
 
 def _begun(problem: DistanceProblem, start: Floats | None, held: Bools | None) -> tuple[Floats, Bools]:
-    """Unknowns (q,) to begin with, and those that are free."""
+    """Start values (q,) of the unknowns, and flags of the free ones."""
     size = problem.prior_sigma.size
     unknowns: Floats = np.zeros(size) if start is None else start.copy()
     return unknowns, np.ones(size, dtype=bool) if held is None else ~held
@@ -171,7 +173,7 @@ def _estimate(
     iterations: int,
     converged: bool,
 ) -> Estimates:
-    """Estimates by the unknowns, the combinations (q, k) that were estimated, and those that were left out."""
+    """Estimates from the unknowns, with the estimated combinations (q, k) and the excluded ones."""
     unknowns, estimated, undetermined = solution
     covariance, noise = uncertainty(rows, estimated, norm)
     prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
@@ -181,18 +183,18 @@ def _estimate(
 
 
 def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: Norm) -> Separations:
-    """The rows whose sum of squares, or of absolute values, is eq. 9."""
+    """Rows whose sum of squares, or of absolute values, is eq. 9."""
     distances = problem.at(unknowns)
     return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
 
 
 def objective(rows: Separations, norm: Norm) -> float:
-    """Eq. 9 [m^2], or its sum of absolute values [m]."""
+    """Value of eq. 9 [m^2], or of its sum of absolute values [m]."""
     return float(np.sum(rows.residual**2) if norm == "squares" else np.sum(np.abs(rows.residual)))
 
 
 def determined(rows: Separations, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
-    """Combinations (q, k) of the `free` (q,) unknowns to estimate, and those to leave at zero with their gains."""
+    """Combinations (q, k) of the `free` (q,) unknowns to be estimated, and those fixed at zero with their gains."""
     strength, eigenvectors = np.linalg.eigh(rows.by_unknown[:, free].T @ rows.by_unknown[:, free])
     vectors = np.zeros((len(free), len(eigenvectors)))
     vectors[free] = eigenvectors
@@ -216,7 +218,7 @@ def _split_visible(rows: Separations, free: Bools) -> tuple[Floats, Floats]:
 
 
 def _least(design: Floats, residual: Floats, norm: Norm) -> Floats:
-    """The step that minimises |residual + design @ step| in the norm."""
+    """Step that minimises |residual + design @ step| in the norm."""
     if norm == "squares":
         return -np.asarray(np.linalg.lstsq(design, residual, rcond=None)[0], dtype=np.float64)
     return -least_absolute(design, residual)
@@ -239,7 +241,7 @@ def _squares_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floa
 
 
 def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
-    """The linear program: residual + design @ step = above - below, both positive, their sum least."""
+    """Solution of a linear program: residual + design @ step = above - below, both nonnegative, smallest sum."""
     count, size = design.shape
     scale = float(np.mean(np.abs(residual)))
     weights = np.concatenate([np.zeros(size), np.ones(2 * count)])
@@ -291,7 +293,7 @@ def uncertainty(rows: Separations, estimated: Floats, norm: Norm) -> tuple[Float
 
 
 def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimates, held: Bools) -> tuple[str, ...]:
-    """A sentence: the objective at an estimate that leaves combinations out, and the least that eq. 9 reaches."""
+    """Sentence on the objective at an estimate without all combinations, and the minimum of eq. 9."""
     least = solve_equation_9(problem, norm, start=estimate.unknowns, held=held).objective
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"

@@ -1,12 +1,12 @@
 """Events in a history: steps of a parameter that are outliers among its steps between calibrations.
 
-A tracker's parameters move from day to day by more than their standard deviations; that is no event. The spread of the
-steps is estimated from the steps themselves. Each step is tested against the spread of the others; the most significant
-one is removed and the rest is tested again, so that two events do not mask each other.
+The parameters of a tracker vary from day to day by more than their standard deviations, which is no event. The spread
+of the steps is estimated from the steps themselves. Each step is tested against the spread of the others; the most
+significant one is removed and the rest is tested again, so that two events do not mask each other.
 
 Where the days between calibrations are known, part of that spread may grow with them (a random walk) and part may not
-(each calibration draws it anew): variance s^2 (1 - g + g days / median days). No g is chosen: the chance of a step
-is the mean over `SHARES`, each weighted by how likely it makes the other steps.
+(independent for each calibration): variance s^2 (1 - g + g days / median days). The p-value of a step is the mean over
+the values `SHARES` of g, weighted by the likelihood of the other steps.
 """
 
 import numpy as np
@@ -28,16 +28,16 @@ SHARES = np.linspace(0.0, 1.0, 5)
 
 
 class EventEntry(Entry):
-    """A step of one parameter that is an outlier among its steps between calibrations."""
+    """Step of one parameter that is an outlier among its steps between calibrations."""
 
     from_: str = Field(alias="from")
     """The earlier calibration."""
     to: str
-    """The later one."""
+    """Label of the later calibration."""
     name: str
     """Name of the parameter."""
     difference: Finite
-    """Later minus earlier."""
+    """Later minus earlier estimate."""
     sigma: NotNegative
     """Standard deviation of the difference."""
     usual: NotNegative
@@ -54,7 +54,7 @@ def can_tell(history: CalibrationSeries) -> bool:
 
 
 def events(history: CalibrationSeries) -> tuple[EventEntry, ...]:
-    """Significant steps in the order of time; none where there are too few to test.
+    """Significant steps in chronological order; empty if there are too few steps for a test.
 
     p-values are corrected for all steps and parameters (Bonferroni).
     """
@@ -83,7 +83,7 @@ def events(history: CalibrationSeries) -> tuple[EventEntry, ...]:
 
 
 def _growth(history: CalibrationSeries) -> Floats:
-    """Days of each step over their median; ones where they are not known."""
+    """Days of each step divided by their median; ones if the days are unknown."""
     between = np.diff(history.days) if history.days is not None else np.zeros(0)
     middle = float(np.median(between)) if len(between) else 0.0
     return between / middle if middle > 0 else np.ones(len(history) - 1)
@@ -139,4 +139,6 @@ def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
 
 
 MOST = 1e6
-"""Largest variance that is tried, over the sum of squared steps: the search ends there where no finite one suffices."""
+"""Largest variance that is tried, relative to the sum of squared steps: the search ends there if no finite one
+suffices.
+"""

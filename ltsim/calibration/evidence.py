@@ -1,4 +1,4 @@
-"""Evidence of estimates and their covariance without their prior, combined; log evidence of unmodelled causes."""
+"""Likelihood information, score tests of changes, determined combinations, and log evidence averaged over sizes."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -26,7 +26,7 @@ DEFINED = 2.0
 """A phase is reported if the amplitude exceeds this many of its standard deviations."""
 SIZES = np.array(list(probability.SIZE_PRIOR))
 LOG_WEIGHTS = np.log(np.array(list(probability.SIZE_PRIOR.values())))
-"""Sizes t over a plausible one, and their log prior."""
+"""Logarithms of the prior probabilities of the sizes t relative to a plausible one."""
 FEW = 100
 """Arrays of up to this many values are summed by one library call, larger ones by several vectorised calls."""
 # 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
@@ -38,17 +38,17 @@ class LikelihoodInformation:
     """Information of a calibration's readings without its prior, in units of common prior sigmas."""
 
     remaining: Floats
-    """Covariance after the calibration, (p, p)."""
+    """Covariance of the estimates, (p, p)."""
     information: Floats
-    """Inverse covariance less that of the prior; 0 for combinations with a gain under `UNINFORMATIVE`, (p, p)."""
+    """Inverse covariance minus that of the prior, (p, p); 0 for combinations with a gain below `UNINFORMATIVE`."""
     information_vector: Floats
-    """(p,): `information` times the estimate that the readings alone would give."""
+    """Product of `information` and the estimate from the readings alone, (p,)."""
 
 
 def likelihood_information(
     values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats
 ) -> LikelihoodInformation:
-    """The evidence of estimates (p,) with covariance (p, p) under priors (p,) centred at 0, in units (p,), all [SI]."""
+    """Likelihood information of estimates (p,) with covariance (p, p) and priors (p,) about 0, in units (p,) [SI]."""
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
     shares, vectors = linalg.eigh(remaining / np.outer(prior, prior))
@@ -89,7 +89,7 @@ def forward_select(scores: Callable[[Collection[int]], Floats], least: float) ->
 def by_plausible_sizes(
     parameters: Sequence[Parameter], values: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,), covariance (p, p) [SI] with priors of plausible size: a tight prior (p,) hides combinations."""
+    """Estimates (p,) and covariance (p, p) [SI] with priors of plausible size, as tight priors hide combinations."""
     free = np.flatnonzero(np.diag(covariance) > 0)
     unit, block = np.array([p.prior_sigma for p in parameters])[free], np.ix_(free, free)
     if np.array_equal(unit, prior_sigma[free]):
@@ -108,7 +108,7 @@ def by_plausible_sizes(
 
 
 def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[DeterminedEntry]:
-    """Combinations that are determined far better than each of their members; values (p,), covariance (p, p) [SI].
+    """Combinations determined far better than each of their members, from values (p,) and covariance (p, p) [SI].
 
     In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
     each and their sum to 0.3 urad. Combinations have one unit: eigenvectors of the covariance that join several
@@ -141,8 +141,8 @@ def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floa
 def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float, float, float | None, float | None]:
     """Amplitude, its sigma, phase [rad] and its sigma of cosine and sine coefficients (2,) with covariance (2, 2).
 
-    a cos x + b sin x = A cos(x - phase), to first order in the covariance. Without a defined phase the sigma is that of
-    a coefficient along no particular direction, the root of half the trace.
+    a cos x + b sin x = A cos(x - phase), to first order in the covariance. Without a defined phase the sigma is the
+    square root of half the trace, an average over directions.
     """
     amplitude = float(np.hypot(*coefficients))
     if amplitude > 0:
@@ -156,7 +156,7 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 
 
 def cosine_and_sine(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
-    """Each harmonic among parameters: its name, the places of its cosine and its sine."""
+    """Harmonics among parameters: name, index of the cosine, index of the sine."""
     for i, name in enumerate(names):
         match = _COSINE.match(name)
         if match:
@@ -185,7 +185,7 @@ def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Float
 
 
 def log_sum_exp(values: Floats, axis: int = 0) -> Floats:
-    """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
+    """Log of the sum of exp(values) along an axis; minus infinity for none."""
     total: Floats
     if values.size <= FEW:
         total = np.logaddexp.reduce(values, axis=axis)

@@ -38,13 +38,13 @@ class RequestedEffect:
     fixed: frozenset[str] = frozenset()
 
     def check(self, recording: Recording, construction: Construction) -> None:
-        """Raise ModelError where it cannot be estimated with the calibration of a recording."""
+        """Check that it can be estimated with the calibration of a recording; raises ModelError."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
             how = f"use {option('noise_from_data=True')} to estimate the noise"
             raise ModelError(f"{name} changes the noise, not the readings; {how}")
         if isinstance(effect, Mistake):
-            raise ModelError(f"{name} is a mistake in the recording and has no size; ltsim diagnose corrects it")
+            raise ModelError(f"{name} is a blunder in the recording and has no size; ltsim diagnose corrects it")
         parameter_names = {p.name for p in effect.parameters}
         if not effect.place and parameter_names <= set(construction.names):
             raise ModelError(f"{name} is part of the ordinary calibration; confine it to a station, as in {name}:NAME")
@@ -117,7 +117,7 @@ def _settled(
 
 
 def name_of(effect: Signature, adjustment: Adjustment) -> str:
-    """The name of an effect; that of a law are its words."""
+    """Name of an effect; for a law its text form."""
     if not isinstance(effect, Law):
         return effect.name
     suffix = AT_EACH_SET_UP if effect.each else ""

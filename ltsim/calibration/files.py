@@ -1,4 +1,4 @@
-"""calibration.json with its tables, written whole or not at all and read back."""
+"""Writing and reading of calibration.json and its tables; files are written completely or not at all."""
 
 from pathlib import Path
 
@@ -16,18 +16,18 @@ from ltsim.recordings.files import read_text, shown
 from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
-"""A calibration, its file, or the folder that holds it."""
+"""Calibration, its file, or the folder that contains it."""
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Write `calibration.json` and `targets.csv` into a folder, of a network at hand residuals and covariance.
+    """Writing of `calibration.json` and `targets.csv`, and with a network of residuals and covariance, into a folder.
 
-    Gives the calibration with the digests of its files.
+    Returns the calibration with the digests of its files.
 
     Raises
     ------
     RecordError
-        When the folder cannot be written; nothing half-written stays behind.
+        If the folder cannot be written; no partial files remain.
     """
     texts = {TARGETS.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
@@ -51,12 +51,12 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
 
 
 def calibration_of(source: CalibrationSource) -> Calibration:
-    """The calibration itself, read where a path was given."""
+    """Calibration of a source, read from its path if necessary."""
     return source if isinstance(source, Calibration) else read_calibration(Path(source))
 
 
 def read_calibration(path: Path) -> Calibration:
-    """The calibration of a `calibration.json`, or of the folder that holds one.
+    """Calibration of a `calibration.json`, or of the folder that contains it.
 
     The targets and the network are not in the file. A file without a covariance gets a diagonal one; missing parameters
     are zero with their prior sigma, as the warnings of the result report.
@@ -75,7 +75,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _check_reflectors(content: Calibration, file: Path) -> None:
-    """Raise RecordError where a parameter of a reflector is none of `smr-incidence` in its unit."""
+    """Check that parameters of reflectors are those of `smr-incidence` in their units; raises RecordError."""
     expected = {parameter.name: parameter.unit for parameter in SmrIncidence.parameters}
     for entry in content.reflectors:
         for row in entry.parameters:
@@ -99,7 +99,7 @@ def _rejected(content: Calibration, file: Path) -> tuple[str, ...]:
 
 
 def _missing(names: list[str], file: Path) -> tuple[str, ...]:
-    """Warning about parameters that a file lacks; empty where it lacks none."""
+    """Warning about parameters that a file lacks; empty if there are none."""
     if not names:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"

@@ -25,9 +25,9 @@ class CourseEntry(Entry):
     unit: str = ""
     """Unit of all numbers of the entry."""
     values: tuple[Finite, ...]
-    """Estimates, one a calibration."""
+    """Estimates, one per calibration."""
     sigmas: tuple[NotNegative, ...]
-    """Standard deviations of the estimates, one a calibration."""
+    """Standard deviations of the estimates, one per calibration."""
     prior_sigma: OptionalFloat = None
     """Prior standard deviation of the parameter."""
     mean: Finite
@@ -35,7 +35,7 @@ class CourseEntry(Entry):
     spread: Finite
     """Standard deviation over the calibrations."""
     constant: ChiSquareEntry
-    """Test that it did not change."""
+    """Test that the parameter did not change."""
 
 
 class CalibrationOf(Entry):
@@ -54,7 +54,7 @@ CHANGES = Table(
         *texts(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
         Column("chi2", "weighted sum of squares of the differences", shown=".1f"),
         Column("parameters", "degrees of freedom"),
-        Column("p_value", "of such differences without a change", "chance", title="p"),
+        Column("p_value", "p-value of such differences without a change", "chance", title="p"),
     ),
 )
 COURSES = Table(
@@ -67,7 +67,7 @@ COURSES = Table(
         *texts(unit="of all numbers of the row"),
         Column("mean", "weighted mean of the estimates", digits=3),
         Column("spread", "standard deviation over the calibrations", digits=3),
-        Column("p_constant", "of the test that it did not change", "chance"),
+        Column("p_constant", "p-value of no change", "chance"),
     ),
 )
 FITS = Table(
@@ -104,24 +104,24 @@ class History(ResultFile):
     construction: str = ""
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     calibrations: tuple[CalibrationOf, ...] = Field(min_length=1)
-    """Calibrations in the order of time."""
+    """Calibrations in chronological order."""
     parameters: tuple[CourseEntry, ...] = ()
-    """Each over the calibrations."""
+    """Course of each parameter over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
-    """Covariance of the means, in the parameters' units; combinations that no calibration determines keep the prior."""
+    """Covariance of the means, in the parameters' units; combinations that no calibration determines have the prior."""
     constant: ChiSquareEntry | None = None
-    """Test that nothing changed."""
+    """Test that no parameter changed."""
     changes: tuple[ChangeEntry, ...] = ()
     """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
-    """Significant steps; empty also where there are too few calibrations to test them."""
+    """Significant steps; empty also for too few calibrations."""
     since_first: ChangeEntry
     """Change between the first and the last calibration."""
     _series: CalibrationSeries | None = PrivateAttr(None)
 
     @classmethod
     def of(cls, series: CalibrationSeries) -> Self:
-        """The result of a series: parameters in the units a person reads, tests as chi-square."""
+        """Result of a series, with parameters in units of display."""
         factors = np.array([p.factor for p in series.construction.parameters])
         made = cls(
             construction=series.construction.name,
@@ -141,7 +141,7 @@ class History(ResultFile):
 
     @property
     def series(self) -> CalibrationSeries:
-        """The calibrations as arrays; raises ModelError for a history that was read from a file."""
+        """Calibrations as arrays; raises ModelError for a history that was read from a file."""
         if self._series is None:
             raise ModelError("a history read from a file has no calibrations; call lt.history with them")
         return self._series
@@ -203,7 +203,7 @@ class History(ResultFile):
         count = len(self.calibrations)
         for course in self.parameters:
             if len(course.values) != count or len(course.sigmas) != count:
-                raise ValueError(f"the parameter {course.name} has not one value and one sigma a calibration")
+                raise ValueError(f"the parameter {course.name} needs one value and one sigma per calibration")
         return self
 
 

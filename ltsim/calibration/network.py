@@ -24,6 +24,7 @@ from ltsim.calibration.reported import reported, uncertainty_factor
 from ltsim.calibration.schema import Fit, VerdictEntry
 from ltsim.calibration.shrinkage import correction_of
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
+from ltsim.core.limits import CALIBRATED_POINTINGS
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import names
@@ -48,7 +49,7 @@ def calibrate_network(
     weigh: bool = True,
     extra_effects: Sequence[RequestedEffect] = (),
 ) -> Calibration:
-    """The method `network` of `ltsim.calibrate`, whose options and errors it has, and further ones of programs.
+    """Method `network` of `ltsim.calibrate`, with its options and errors, and with additional options.
 
     Parameters
     ----------
@@ -61,6 +62,7 @@ def calibrate_network(
     extra_effects : sequence of RequestedEffect
         Effects of the catalogue, and laws, to estimate too.
     """
+    recording.require_at_most(CALIBRATED_POINTINGS, "a calibration")
     built = construction or declared_construction(recording)
     chosen = choice or Choice()
     for wanted in extra_effects:
@@ -115,7 +117,7 @@ def adjust(
     noise_from_data: bool = False,
     datum: str | Sequence[str] | None = None,
 ) -> Calibration:
-    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
+    """Network adjustment of a recording without instrument parameters: targets, stations, outliers.
 
     Parameters
     ----------
@@ -204,7 +206,7 @@ def _adjusted(
 
 
 def _in_frame(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """The adjustment; NetworkError where a datum is asked for that control points define."""
+    """Adjustment; raises NetworkError for a requested datum in a network whose frame control points define."""
     if datum and not adjustment.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return adjustment

@@ -1,8 +1,8 @@
 """The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
 
 Distances between all pairs of targets are compared between all pairs of stations, and those of the gauge with their
-reference lengths. Distances need no poses. A station's two faces count as two stations: averaged, they would hide
-errors that change sign with the face.
+reference lengths. Distances do not depend on poses. The two faces of a station count as two stations, because averages
+would hide errors that change sign with the face.
 
 For least squares the sum over pairs of stations is the number of stations times the sum of squares of deviations from
 the mean over stations, which makes the objective linear in the number of stations.
@@ -22,21 +22,21 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 LARGEST = 2e8
-"""Most numbers that one matrix may hold."""
+"""Largest number of entries in one matrix."""
 
 
 @dataclass(frozen=True)
 class Distances:
-    """All distances within each set (a station and a face) at given parameters, and their derivatives."""
+    """Distances within each set (a station and a face) at given parameters, and their derivatives."""
 
     length: Floats
-    """(D,) [m]."""
+    """Distances, (D,) [m]."""
     group: Ints
-    """(D,): which pair of targets."""
+    """Index of the pair of targets of each distance, (D,)."""
     by_parameter: Floats
-    """(D, q): per prior sigma of each parameter."""
+    """Derivative with respect to each parameter, per prior sigma, (D, q)."""
     by_reading: sp.csr_array
-    """(D, 3 n): per standard deviation of each reading."""
+    """Derivative with respect to each reading, per standard deviation, (D, 3 n)."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class DistanceProblem:
     """Distances of a recording as functions of the parameters and the readings."""
 
     recording: Recording
-    """Rows without a range or an angle are not used."""
+    """Recording; rows without a range or an angle are not used."""
     construction: Construction
     prior_sigma: Floats
-    """The unknowns are in units of these, (I, p)."""
+    """Prior sigmas, the units of the unknowns, (I, p) [SI]."""
 
     @cached_property
     def gauge(self) -> GaugeRows:
@@ -56,13 +56,13 @@ class DistanceProblem:
 
     @cached_property
     def sets(self) -> Ints:
-        """Station and face of each row as one number from 0, (n,) int."""
+        """Number of the set (station and face) of each row, from 0, (n,)."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
         return number.astype(np.int64)
 
     @cached_property
     def _averaging(self) -> tuple[sp.csr_array, Floats]:
-        """Matrix (M, n) that averages repeats into one point a set and target, and (M, 2) set and target."""
+        """Matrix (M, n) that averages repeats to one point per set and target; set and target of each point (M, 2)."""
         count = len(self.recording.targets)
         key = self.sets * count + self.recording.target
         whole = np.flatnonzero(self.recording.measured.all(axis=1))
@@ -73,7 +73,7 @@ class DistanceProblem:
 
     @cached_property
     def _pairs(self) -> tuple[Ints, Ints, Ints]:
-        """First and second averaged point, and pair of targets of every distance."""
+        """First point, second point and pair of targets of every distance."""
         sets, target = self._averaging[1].T
         a, b = _all_pairs(np.flatnonzero(sets == number) for number in range(int(self.sets.max(initial=-1)) + 1))
         self._check_size(len(a))
@@ -81,7 +81,7 @@ class DistanceProblem:
 
     def _check_size(self, count: int) -> None:
         if count * (self.prior_sigma.size + 8) > LARGEST:
-            raise NetworkError(f"the distance objective would hold {count} distances, too many; use the network method")
+            raise NetworkError(f"the distance objective has {count} distances, too many; use the network method")
 
     def at(self, unknowns: Floats) -> Distances:
         """All distances at unknowns (I p,) in units of the prior sigmas."""
@@ -91,7 +91,7 @@ class DistanceProblem:
         return Distances(length, group, by_parameter, self._by_reading(unit, by_reading))
 
     def by_parameter(self, readings: Floats, unknowns: Floats) -> Floats:
-        """Derivative (D, q) of all distances by the unknowns (q,) when the readings are others (n, 3)."""
+        """Derivative (D, q) of all distances with respect to the unknowns (q,) for other readings (n, 3)."""
         point, _, by_value = self._points(readings, unknowns)
         return self._lengths(point, by_value)[2]
 
@@ -107,7 +107,7 @@ class DistanceProblem:
         return length, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def lengths(self, points: Floats) -> Floats:
-        """All distances (D, B) within sets, in the order of `at`, of points (n, 3, B) in the instruments' frames."""
+        """Distances (D, B) within sets, in the order of `at`, for points (n, 3, B) in the instruments' frames."""
         averaging, _ = self._averaging
         a, b, _ = self._pairs
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
@@ -141,7 +141,7 @@ class DistanceProblem:
         return sp.csr_array(total)
 
     def gauge_matches(self, distances: Distances) -> tuple[Ints, Ints]:
-        """Rows of `distances` that have a known length, and which."""
+        """Rows of `distances` with a reference length, and its index."""
         count = len(self.recording.targets)
         low = np.minimum(self.gauge.first, self.gauge.second)
         high = np.maximum(self.gauge.first, self.gauge.second)
@@ -152,7 +152,7 @@ class DistanceProblem:
 
 
 def centring(distances: Distances) -> tuple[sp.csr_array, Floats]:
-    """Matrix (D, D) that takes the mean over sets off each pair's distances, and each row's number of sets."""
+    """Matrix (D, D) that subtracts the mean over sets from each pair's distances, and each row's number of sets."""
     _, group, count = np.unique(distances.group, return_inverse=True, return_counts=True)
     rows = np.arange(len(group))
     member = sp.csr_array(sp.coo_array((np.ones(len(group)), (rows, group))))
@@ -161,13 +161,13 @@ def centring(distances: Distances) -> tuple[sp.csr_array, Floats]:
 
 
 def set_pairs(distances: Distances) -> tuple[Ints, Ints]:
-    """Rows of `distances` to be compared with each other: the same pair of targets from two sets, all pairs of sets."""
+    """Rows of `distances` to be compared: one pair of targets from two sets, for all pairs of sets."""
     order = np.argsort(distances.group, kind="stable")
     return _all_pairs(np.split(order, np.flatnonzero(np.diff(distances.group[order])) + 1))
 
 
 def _all_pairs(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
-    """First and second of all pairs within groups."""
+    """First and second index of all pairs within groups."""
     pairs = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
     first, second = np.concatenate(pairs, axis=1)
     return first, second

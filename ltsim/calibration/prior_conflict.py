@@ -17,26 +17,27 @@ from ltsim.core.notation import with_sigma
 from ltsim.core.probability import P_CONSTANT
 
 NOISE_FREE = 0.1
-"""Readings count as free of noise if sigma0 is below this: a simulation without noise, where it cannot be estimated."""
+"""Value of sigma0 below which readings count as free of noise, such as in a simulation without noise."""
 UNEXPLAINED = 2.0
-"""No prior is widened from this sigma0 on: the readings then contradict each other, not only the prior."""
+"""Value of sigma0 from which no prior is widened, because the readings contradict each other and not only the prior."""
 MOST_FREED = 0.25
-"""No prior of an instrument is widened if more than this share of its parameters contradict theirs: the prior is then
-wrong as a whole, which `shrinkage` treats by its scale."""
+"""Fraction of contradicting parameters of an instrument above which no prior is widened: the prior is then wrong as a
+whole, which `shrinkage` treats by its scale.
+"""
 CORRECTED = "its declared correction, which leaves"
-"""Words for the prior of an instrument that the set-up declares corrected."""
+"""Text for the prior of an instrument that the set-up declares corrected."""
 MOST_SENTENCES, MOST_TERMS = 3, 6
 """Largest number of sentences, and of terms of a combination, in a report."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
-    """Root of chi-square over degrees of freedom, without the contribution of the parameters' prior."""
+    """Square root of chi-square over the degrees of freedom, without the contribution of the parameters' prior."""
     gap = adjustment.problem.prior.residual(adjustment.state.instrument)
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
 
 def noise_overstated(adjustment: Adjustment) -> bool:
-    """True if readings scatter less than declared, which no missing effect explains: the noise is overstated."""
+    """True if readings scatter less than declared, so that the declared noise is too large."""
     testable = adjustment.dof >= FEW and sigma0_of_readings(adjustment) > NOISE_FREE
     return testable and bool(special.chdtr(adjustment.dof, adjustment.chi2) < SINGLE_LEVEL)
 
@@ -75,7 +76,7 @@ def prior_rejected(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
 
 
 def disagreement(calibration: Calibration) -> tuple[str, ...]:
-    """Sentences on the parameters that contradict their prior most, otherwise on the combination that does.
+    """Sentences on the parameters that contradict their prior most, or else on the contradicting combination.
 
     Parameters with a widened prior are reported as such. Parameters and combinations share one prior probability.
     """
@@ -90,7 +91,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
     for k in np.flatnonzero(freed).tolist():
         name, p = rows[k]
         sentences.append(
-            f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts "
+            f"{name} is {with_sigma(p.value, p.sigma, p.unit)} from the readings, which contradicts "
             f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
         if lengths and calibration.construction.parameters[k % size].prior_kind == "range_scale":
@@ -107,7 +108,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
-            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if it may be larger, state it in [instrument.prior.parameters]"
+            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if it may be larger, set it in [instrument.prior.parameters]"
         )
     if len(worst) > MOST_SENTENCES:
         sentences.append(f"{len(worst) - MOST_SENTENCES} more parameters contradict their prior")
@@ -115,17 +116,17 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
 
 
 def log_odds(z: Floats, weight: Floats, count: int) -> Floats:
-    """Log posterior odds (h,) that each of `count` constants is off, from normalised changes z (h,).
+    """Log posterior odds (h,) that each of `count` constants is wrong, from normalised changes z (h,).
 
-    `weight` (h,) is the information on each constant in prior variances. Averaged over sizes as in a diagnosis, so that
-    a constant with little information needs a larger z.
+    `weight` (h,) is the information on each constant in prior variances. They are averaged over sizes as in a
+    diagnosis, so that a constant with little information needs a larger z.
     """
     weight = np.maximum(weight, 0.0)
     return log_evidence((z**2 * weight)[:, None], weight[:, None]) + np.log(P_CONSTANT / count)
 
 
 def _normalised(deviation: Floats, gain: Floats) -> Floats:
-    """Deviations (k,) from the prior, in prior sigmas, over their standard deviation; 0 without information."""
+    """Deviations (k,) from the prior, in prior sigmas, divided by their standard deviation; 0 without information."""
     return np.where(gain > UNINFORMATIVE, deviation / np.sqrt(np.maximum(gain, UNINFORMATIVE)), 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Prior information of a calibration: chosen parameters and held values, results of earlier calibrations."""
+"""Prior information of a calibration: selected parameters, fixed values, and results of earlier calibrations."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 WIDE = 1000.0
-"""Factor on prior sigmas that stands for no prior: 10 to 20 mm and 15 mrad, within which the linearisation holds."""
+"""Factor on prior sigmas that represents no prior: 10 to 20 mm and 15 mrad, for which the linearisation is valid."""
 
 
 @dataclass(frozen=True)
 class EarlierCalibrations:
-    """Values with their covariance, by the names of instruments and parameters."""
+    """Prior from earlier calibrations: values with their covariance, by names of instruments and parameters."""
 
     construction: str
     parameters: tuple[str, ...]
     instruments: tuple[str, ...]
     """Names of the instruments; a single one applies to any instrument of a recording."""
     mean: Floats
-    """(I, p) [SI]."""
+    """Mean of the parameters, (I, p) [SI]."""
     covariance: Floats
-    """(I, p, p) [SI]."""
+    """Covariance of the parameters, (I, p, p) [SI]."""
     spread: Floats
     """Standard deviation (p,) [SI] of the parameters between calibrations; 0 for a single calibration."""
     count: int = 1
@@ -59,7 +59,7 @@ class EarlierCalibrations:
 
     @classmethod
     def _of_calibration(cls, calibration: Calibration) -> EarlierCalibrations:
-        """Prior information of a calibration without the parameters that it held."""
+        """Prior information of a calibration without its fixed parameters."""
         free = np.flatnonzero(~calibration.held.any(axis=0) & (calibration.sigma > 0).all(axis=0))
         count, size = calibration.values.shape
         blocks = calibration.covariance.reshape(count, size, count, size)
@@ -89,17 +89,18 @@ class EarlierCalibrations:
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
     def over(self, nominal: ParameterPrior, construction: Construction, instruments: tuple[str, ...]) -> ParameterPrior:
-        """Prior of a recording's instruments: the earlier calibrations' where they have the parameter, else `nominal`.
+        """Prior of a recording's instruments: the earlier calibrations' if they contain the parameter, else `nominal`.
 
         Raises
         ------
         RecordError
-            When it belongs to another construction or to other instruments.
+            For another construction or other instruments.
         """
         common = [name for name in construction.names if name in self.parameters]
         if not common:
             raise RecordError(
-                f"earlier calibrations are of construction {self.construction}, no parameter of {construction.name}"
+                f"the construction {self.construction} of the earlier calibrations has no parameter of "
+                f"{construction.name}"
             )
         here = [construction.names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
@@ -107,7 +108,7 @@ class EarlierCalibrations:
         for i, name in enumerate(instruments):
             if len(self.instruments) > 1 and name not in self.instruments:
                 names = ", ".join(self.instruments)
-                raise RecordError(f"earlier calibrations know the instruments {names}, not '{name}'")
+                raise RecordError(f"earlier calibrations have the instruments {names}, not '{name}'")
             k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
             mean[i, here] = self.mean[k, there]
             covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
@@ -116,29 +117,29 @@ class EarlierCalibrations:
 
 @dataclass(frozen=True)
 class Choice:
-    """Choice of the parameters to estimate and of their prior; by default all of them, with the prior of the set-up.
+    """Selection of the parameters to estimate and of their prior; default all, with the prior of the set-up.
 
-    A name is that of a parameter (`beam-tilt`), of several by their common beginning (`azimuth-eccentricity`, `J1.eX`),
-    or of one instrument's alone (`beam-tilt@TRACKER`).
+    A name means a parameter (`beam-tilt`), several with a common beginning (`azimuth-eccentricity`, `J1.eX`), or the
+    parameter of one instrument (`beam-tilt@TRACKER`).
     """
 
     parameters: Sequence[str] | None = None
-    """The only parameters to estimate; the others are held at zero."""
+    """Parameters to estimate; all others are fixed at zero. None for all."""
     without: Sequence[str] = ()
-    """Parameters to hold at zero."""
+    """Parameters that are fixed at zero."""
     hold: Mapping[str, float] = field(default_factory=dict)
-    """Parameters to hold at a value, in the parameter's unit."""
+    """Parameters that are fixed at a value, in the parameter's unit."""
     prior: EarlierCalibrations | None = None
-    """Result of earlier calibrations, in place of the set-up's prior."""
+    """Result of earlier calibrations that replaces the set-up's prior."""
     free: bool = False
-    """True without a prior: its standard deviations are then `WIDE` times those of the set-up."""
+    """True for no prior: standard deviations are then `WIDE` times those of the set-up."""
 
     def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
-        """The prior of a recording's instruments that follows; raises ModelError, SetupError."""
+        """Resulting prior of a recording's instruments; raises ModelError, SetupError."""
         return self.over(prior_sigmas(recording, construction), recording, construction)
 
     def over(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
-        """The same where standard deviations (I, p) [SI] are expected."""
+        """Resulting prior of a recording's instruments for expected standard deviations (I, p) [SI]."""
         check_names(recording, construction)
         nominal = ParameterPrior.independent(sigma * (WIDE if self.free else 1.0))
         if self.prior is not None:
@@ -168,7 +169,7 @@ class Choice:
 
 
 def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]) -> list[int]:
-    """Places in the flat vector (I p) of a parameter, or of several by their beginning; raises ModelError."""
+    """Indices in the flat vector (I p) of a parameter, or of several with a common beginning; raises ModelError."""
     name, at, instrument = wanted.strip().partition("@")
     if at and instrument not in instruments:
         raise unknown_name("instrument", instrument, [label or "unnamed" for label in instruments])
@@ -181,7 +182,7 @@ def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]
 
 
 def check_names(recording: Recording, construction: Construction) -> None:
-    """Raise SetupError where the set-up states a prior of a parameter that no construction has."""
+    """Check that all parameters with a prior in the set-up exist in a construction; raises SetupError."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
     parameter_names = {*construction.names, *every_parameter_name()}

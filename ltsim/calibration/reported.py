@@ -1,4 +1,4 @@
-"""Uncertainty as it is reported: larger where the readings contradict the model, with the air along long sights."""
+"""Reported uncertainty: increased if the readings contradict the model, and with the air for long ranges."""
 
 from __future__ import annotations
 
@@ -26,11 +26,13 @@ from ltsim.physics.effects.air import air_words
 
 FittedT = TypeVar("FittedT", FittedEffectEntry, ReflectorEntry)
 MATTERS = 0.2
-"""An error that no reading shows is reported from this share of the targets' rms standard deviation on."""
+"""Smallest displacement, relative to the targets' rms standard deviation, of a reported error without effect on the
+readings.
+"""
 
 
 def uncertainty_factor(fit: Fit, *, by_estimate: bool | None = None) -> float:
-    """Factor on the standard deviations: sigma0 where it is significantly above 1, not by single readings; else 1.
+    """Factor on the standard deviations: sigma0 if it is significantly above 1 and not due to single readings, else 1.
 
     `by_estimate` is the verdict of the tests; without it the global test decides, at the level `AGREEMENT_LEVEL`.
     """
@@ -41,7 +43,7 @@ def uncertainty_factor(fit: Fit, *, by_estimate: bool | None = None) -> float:
 
 
 def reported(calibration: Calibration) -> Calibration:
-    """The calibration with the standard deviations of its targets, stations and parameters as they are reported."""
+    """Calibration with the reported standard deviations of its targets, stations and parameters."""
     verdict, adjustment = calibration.verdict, calibration.adjustment
     factor = uncertainty_factor(calibration.fit, by_estimate=verdict.scale_by_sigma0 if verdict.case else None)
     if adjustment is None:
@@ -63,7 +65,7 @@ def reported(calibration: Calibration) -> Calibration:
 
 
 def joint_csv(calibration: Calibration) -> str | None:
-    """The content of `targets.covariance.csv`; None for many targets or without a network."""
+    """Content of `targets.covariance.csv`; None for many targets or without a network."""
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.targets) > MOST_TARGETS:
         return None
@@ -72,7 +74,7 @@ def joint_csv(calibration: Calibration) -> str | None:
 
 
 def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
-    """Covariance (I p, I p) with the noise of the readings multiplied by a factor; the prior stays as it is.
+    """Covariance (I p, I p) with the noise of the readings multiplied by a factor and an unchanged prior.
 
     With C the covariance in prior standard deviations, C^-1 - 1 is the information of the readings: it falls by the
     factor squared.
@@ -93,7 +95,7 @@ def _scaled_parameters(calibration: Calibration, factor: float) -> Floats:
 
 
 def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
-    """A pose with its standard deviations multiplied by a factor and the covariance (6, 6) of the air added."""
+    """Pose with its standard deviations multiplied by a factor, and with the covariance (6, 6) of the air."""
     air = np.sqrt(np.diag(added))
     sizes = {}
     for name, unit, part in (
@@ -108,13 +110,13 @@ def _pose(pose: StationPose, factor: float, added: Floats) -> StationPose:
 
 
 def _fitted(entry: FittedT, factor: float) -> FittedT:
-    """An entry of fitted parameters with their standard deviations multiplied by a factor."""
+    """Entry of fitted parameters with standard deviations multiplied by a factor."""
     parameters = tuple(p if p.sigma is None else p.with_values(sigma=factor * p.sigma) for p in entry.parameters)
     return entry.with_values(parameters=parameters)
 
 
 def _hidden(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
-    """Errors that no reading shows and that move the targets by more than `MATTERS` of their standard deviation."""
+    """Errors without effect on the readings that move targets by more than `MATTERS` of their standard deviation."""
     variance = np.einsum("tii->t", covariance)
     determined = np.isfinite(variance)
     if not determined.any():
@@ -128,7 +130,7 @@ def _hidden(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ..
 
 
 def _air_words(adjustment: Adjustment) -> str:
-    """Errors of the air in the standard deviations, in words; empty where ranges are short or nothing is declared."""
+    """Text of the errors of the air in the standard deviations; empty for short ranges or undeclared air."""
     air = counted_air(adjustment)
     if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
         return ""

@@ -38,7 +38,7 @@ from ltsim.physics.model.measurement import smr_lift
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
 CONTRADICTS = 3.0
-"""A reading of an undetermined target is reported if it is off by more than this many sigmas from its last place."""
+"""Deviation from the last position, in sigmas, above which a reading of an undetermined target is reported."""
 UP = np.array([False, False, True])
 
 
@@ -116,7 +116,10 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
 
 
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
-    """Mask (n, 3) of readings whose residual is an error: of an undetermined target those that contradict others."""
+    """Flags (n, 3) of the readings whose residual is an error.
+
+    For an undetermined target those that contradict others.
+    """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
     untied = np.isin(recording.targets, adjustment.unconnected)[recording.target]
@@ -129,7 +132,7 @@ def verdict_of(adjustment: Adjustment) -> Verdict:
 
 
 def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
-    """Estimated noise, one row per group."""
+    """Entries of the estimated noise, one per group."""
     problem, recording = adjustment.problem, adjustment.recording
     rows = []
     for c in adjustment.components:
@@ -157,7 +160,7 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
 
 
 def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ...]:
-    """Reference coordinates, lengths and levels, each tested by the rest: one entry per component."""
+    """Entries of reference coordinates, lengths and levels with their tests, one per component."""
     entries = []
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
@@ -180,7 +183,10 @@ def reference_values_of(adjustment: Adjustment) -> tuple[ReferenceValueEntry, ..
 
 
 def axes_of(adjustment: Adjustment) -> AxesEntry | None:
-    """Standard deviations of axes that declared coordinates define, from their misfit to the network; None without."""
+    """Standard deviations of axes that declared coordinates define, from their misfit to the network.
+
+    None for others.
+    """
     used = [test for test in adjustment.axis_tests if not test.excluded]
     if not used:
         return None
@@ -199,7 +205,7 @@ def axes_of(adjustment: Adjustment) -> AxesEntry | None:
 
 
 def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
-    """Notes on an adjusted network for its reader: its axes, its range zeros, whether it may be a mirror image."""
+    """Notes on an adjusted network: its axes, its range zeros, a possible mirror image."""
     kinds = (_notes_on_axes, notes_on_modes, _notes_on_hand, _notes_on_plan)
     return tuple(note for notes_of in kinds for note in notes_of(adjustment))
 
@@ -244,7 +250,7 @@ def frame_of(adjustment: Adjustment) -> str:
     if free == 6 or not (points or zeros or not adjustment.open_heights.all()):
         return rest.removeprefix("is ")
     if not control and not problem.differences.names:
-        return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
+        return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []
     return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {rest}"
 
@@ -271,7 +277,7 @@ def _has_declared_places(adjustment: Adjustment) -> bool:
 def undetermined_of(
     adjustment: Adjustment, construction: Construction, directions: list[list[Direction]], *, advise: bool
 ) -> tuple[Combination, ...]:
-    """The undetermined combinations of each instrument, named, with their cures (empty unless `advise`)."""
+    """Undetermined combinations of each instrument with names and, if `advise`, measurements that determine them."""
     instruments = adjustment.recording.instruments
     nothing = [[""] * len(group) for group in directions]
     sentences = determining(adjustment, construction, directions) if advise else nothing
@@ -295,10 +301,10 @@ def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Directio
 def criteria_of(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats, *, reflectors: bool = True
 ) -> CriteriaEntry | None:
-    """The paper's criteria without excluded pointings; None where stations cannot be compared.
+    """Criteria of the paper without excluded pointings; None if stations cannot be compared.
 
-    After the correction the readings are free of the effects that were estimated too, and of the incidence errors of
-    `reflectors`, as `correct` takes them out. Other errors of declared size stay in them.
+    After the correction the readings do not contain the estimated effects and the incidence errors of `reflectors`, as
+    in `correct`. Other nuisance errors remain in them.
     """
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
     recording = _as_reference_smr(recording, adjustment)
@@ -316,7 +322,7 @@ def criteria_of(
 
 
 def _as_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
-    """The recording as the reference SMR would have given it."""
+    """Recording as measured with the reference SMR."""
     off = smr_lift(recording)
     if off is None:
         return recording
@@ -325,7 +331,7 @@ def _as_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording
 
 
 def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the chirality of a network of ranges alone, where it may be the mirror image of the hall."""
+    """Note on the handedness of a network of ranges alone, if it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
@@ -346,7 +352,7 @@ def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
-    """Note on the range zeros where both distance meters were used."""
+    """Note on the range zeros if both distance meters were used."""
     if MODE_COLUMN not in adjustment.recording.circumstances:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):

@@ -24,7 +24,7 @@ from ltsim.recordings.result_file import (
 )
 
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
-"""Unit of each column of the readings where a person reads it."""
+"""Unit of display of each column of the readings."""
 
 COORDINATES = (
     *texts(target="name"),
@@ -42,7 +42,7 @@ RESIDUALS = Table(
         *texts(observable="distance, azimuth or elevation"),
         *numbers(".6g", residual="observed minus adjusted, in `unit`"),
         *texts(unit="of the residual"),
-        *numbers(".4f", redundancy="share of the observation that others check, 0 to 1", w="normalised residual"),
+        *numbers(".4f", redundancy="fraction of the observation that others check, 0 to 1", w="normalised residual"),
     ),
 )
 
@@ -57,15 +57,17 @@ class Fit(Entry):
     sigma0: OptionalFloat = None
     """Square root of chi-square over degrees of freedom."""
     p_value: OptionalFloat = None
-    """p-value: probability of as large a chi-square, near 1 where readings scatter less; printed two-sided."""
+    """p-value: probability of as large a chi-square; near 1 if readings scatter less than declared; displayed
+    two-sided.
+    """
     iterations: int = 0
-    """Steps of Gauss-Newton."""
+    """Number of Gauss-Newton steps."""
     status: str = "not declared"
-    """`converged`, or why not."""
+    """Status: `converged`, or the reason for no convergence."""
     sentence: str = ""
-    """The same for a person."""
+    """Sentence on the fit."""
     chi2_sigma: OptionalFloat = None
-    """Standard deviation of chi-square to expect, where that is not the root of 2 dof."""
+    """Expected standard deviation of chi-square, if it is not the square root of 2 dof."""
 
 
 class ParameterEntry(Entry):
@@ -84,15 +86,15 @@ class ParameterEntry(Entry):
     held: bool = False
     """True if not estimated but fixed at this value."""
     prior_rejected: bool = False
-    """The readings contradict the prior, and the estimate follows them."""
+    """True if the readings contradict the prior, and the estimate follows the readings."""
     applied: OptionalFloat = None
-    """Correction to apply to readings, in `unit`, where it differs from `value`."""
+    """Correction to apply to readings, in `unit`; null if it is `value`."""
     instrument: str = ""
-    """Name of the instrument, where there are several."""
+    """Name of the instrument; empty for a single unnamed one."""
 
 
 class HarmonicEntry(Entry):
-    """A cosine and a sine together, as amplitude and phase; no phase where the amplitude drowns in its sigma."""
+    """Cosine and sine coefficients as amplitude and phase; no phase for an insignificant amplitude."""
 
     name: str
     """Name of the combination."""
@@ -107,7 +109,7 @@ class HarmonicEntry(Entry):
     sigma_phase_deg: OptionalFloat = None
     """Standard deviation of the phase [deg]."""
     instrument: str = ""
-    """Name of the instrument, where there are several."""
+    """Name of the instrument; empty for a single unnamed one."""
 
 
 class StationPose(Entry):
@@ -126,38 +128,38 @@ class StationPose(Entry):
 
     @property
     def position(self) -> Floats:
-        """(3,) [m]; 0 for an undetermined height."""
+        """Position (3,) [m]; 0 for an undetermined height."""
         return np.nan_to_num(np.array(self.position_mm, dtype=np.float64)) * MILLIMETRE
 
     @property
     def quaternion(self) -> Floats:
-        """(4,) x, y, z, w from instrument to network."""
+        """Quaternion (4,) x, y, z, w from instrument to network."""
         return np.array(self.rotation_quaternion)
 
     @property
     def sigma_position(self) -> Floats:
-        """(3,) [m]; NaN where the file has none."""
+        """Standard deviation of the position, (3,) [m]; NaN if the file has none."""
         return np.array(self.sigma_position_mm or [np.nan] * 3, dtype=np.float64) * MILLIMETRE
 
     @property
     def sigma_rotation(self) -> Floats:
-        """(3,) [rad]; NaN where the file has none."""
+        """Standard deviation of the rotation, (3,) [rad]; NaN if the file has none."""
         return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
 
 
 class AxesEntry(Entry):
-    """Standard deviations of axes that declared coordinates define, by the misfit of these to the network."""
+    """Standard deviations of axes defined by declared coordinates, from their misfit to the network."""
 
     targets: tuple[str, ...]
     """Names of the targets whose coordinates define the axes."""
     sigma_position_mm: Vector
     """Standard deviation of the position of the axes [mm], at the centroid of these targets."""
     sigma_rotation_arcsec: Vector
-    """Standard deviation of the rotation about x, y and z [arcsec]; 0 where levels fix it."""
+    """Standard deviation of the rotation about x, y and z [arcsec]; 0 for rotations fixed by levels."""
 
 
 class OutlierRow(Entry):
-    """An outlying reading; `gross`: the largest of a whole pointing that was excluded."""
+    """Outlying reading; with `gross` the largest of a completely excluded pointing."""
 
     row: int
     """Row of the recording's table, from 1."""
@@ -166,7 +168,7 @@ class OutlierRow(Entry):
     target: str
     """Name of the target."""
     observable: str
-    """`distance`, `azimuth` or `elevation`."""
+    """Observable: `distance`, `azimuth` or `elevation`."""
     size: Finite
     """Estimated gross error of the reading, in `unit`."""
     unit: str
@@ -174,7 +176,7 @@ class OutlierRow(Entry):
     w: Finite
     """Normalised residual."""
     p_value: OptionalFloat = None
-    """p-value, corrected for all readings, by the test that the verdict trusts; none where excluded."""
+    """p-value, corrected for all readings, of the test that the verdict trusts; null for excluded readings."""
     gross: bool = False
     """True if this is the largest residual of a pointing that was excluded as a whole."""
     excluded: bool = False
@@ -189,7 +191,7 @@ class ReferenceValueEntry(Entry):
     name: str
     """Target, both ends of a length or a difference, station, or the observations whose `scale` is tested."""
     component: str = ""
-    """x, y or z of a point or a difference; the two tilts of a level are x and y."""
+    """Component x, y or z of a point or difference; x and y for the two tilts of a level."""
     residual: Finite
     """Declared minus adjusted value."""
     error: Finite
@@ -201,7 +203,7 @@ class ReferenceValueEntry(Entry):
     unit: str
     """Unit of residual, error, its standard deviation and `minimal_detectable`."""
     redundancy: Finite
-    """Redundancy number: share of an error that shows in the residual."""
+    """Redundancy number: derivative of the residual with respect to the error."""
     w: Finite
     """Square root of the decrease of chi-square without the whole reference value."""
     excluded: bool = False
@@ -212,15 +214,15 @@ class NoiseRow(Entry):
     """Noise estimated from the readings; without `factor_sigma` the redundancy was too small and the factor is 1."""
 
     observable: str
-    """`distance`, `azimuth`, `elevation` or `level`."""
+    """Observable: `distance`, `azimuth`, `elevation` or `level`."""
     instrument: str = ""
-    """Name of the instrument, where there are several."""
+    """Name of the instrument; empty if all instruments are one group."""
     factor: Finite
     """Factor on the declared standard deviations."""
     factor_sigma: OptionalFloat = None
     """Standard deviation of the factor."""
     redundancy: Finite
-    """Redundancy of the group's readings together."""
+    """Total redundancy of the group's readings."""
     typical: Finite
     """Median standard deviation of a reading."""
     unit: str = ""
@@ -228,14 +230,14 @@ class NoiseRow(Entry):
 
 
 class VerdictEntry(Entry):
-    """Verdict on the test to trust where tests disagree."""
+    """Verdict on the test to trust if tests disagree."""
 
     case: str = ""
-    """Agreement or disagreement of the tests, in words."""
+    """Text of the agreement or disagreement of the tests."""
     sentence: str = ""
-    """The same for a person."""
+    """Sentence of the verdict."""
     scale_by_sigma0: bool = False
-    """True where the estimated sigma0 is to be trusted, not the declared noise."""
+    """True if the estimated sigma0 is to be trusted and not the declared noise."""
 
     @classmethod
     def of(cls, judged: Verdict) -> Self:
@@ -257,9 +259,9 @@ class Correction(Entry):
     noise_um: NotNegative = 0.0
     """Rms 3D error [um] from the noise of one reading of such a point."""
     not_applied: tuple[str, ...] = ()
-    """Parameters that are not applied: held-out targets are predicted better without them."""
+    """Parameters that are not applied, because held-out targets are predicted better without them."""
     sentences: tuple[str, ...] = ()
-    """The same for a person."""
+    """Sentences on the correction."""
 
     @property
     def point_errors_um(self) -> tuple[float, float]:
@@ -268,19 +270,19 @@ class Correction(Entry):
 
     @property
     def line(self) -> str:
-        """The error of a new point without and with the correction."""
+        """Text of the error of a new point without and with the correction."""
         before, after = (number(error, 3) for error in self.point_errors_um)
-        noise = f"{number(self.noise_um, 3)} um of it is that point's own measurement noise"
+        noise = f"{number(self.noise_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 
 class FittedParameterEntry(Entry):
-    """A parameter of an effect, a constant that the readings chose, or the size of a law."""
+    """Parameter of an effect, constant selected by the readings, or size of a law."""
 
     name: str
     """Name as `ltsim effects` lists it; for an empirical law amplitude and phase, or swing, as in a diagnosis."""
     value: Finite | str
-    """Value in its unit; a text for a constant that is a name."""
+    """Value in its unit; a text for a constant with names as values."""
     sigma: Sigma = None
     """Standard deviation."""
     unit: str
@@ -291,15 +293,15 @@ class FittedEffectEntry(Entry):
     """An effect, or a law, that was estimated with the calibration on request."""
 
     effect: str
-    """Name as in `ltsim effects`; of a law as in a diagnosis: response term ~ regressor."""
+    """Name as in `ltsim effects`; for a law its text form as in a diagnosis: response ~ regressor."""
     where: str = ""
-    """Stations and targets to which it is confined; empty for all."""
+    """Stations and targets at which it acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
     """Parameters and constants of the effect."""
     chi2_drop: NotNegative
     """Decrease of chi-square."""
     freedom: int
-    """Number of parameters that the recording distinguishes from the rest."""
+    """Number of parameters that the recording distinguishes from the others."""
     tried: int
     """Number of candidates: places and constants."""
 
@@ -310,7 +312,7 @@ class FittedEffectEntry(Entry):
 
     @property
     def sentence(self) -> str:
-        """All of it for a person."""
+        """Sentence on the effect."""
         name = self.effect + (f" at {self.where}" if self.where else "")
         if not self.freedom:
             return f"{name}: poses, targets and parameters absorb it in this recording; it was not estimated"
@@ -326,7 +328,7 @@ class ReflectorEntry(Entry):
     """Incidence error of a reflector in fixed nests, estimated with the network."""
 
     reflector: str = ""
-    """Name of the reflector; empty where the recording names none."""
+    """Name of the reflector; empty if the recording names none."""
     parameters: tuple[FittedParameterEntry, ...]
     """Parameters of the effect `smr-incidence`."""
 
@@ -355,7 +357,7 @@ REFLECTORS = Table(
     "reflectors.csv",
     "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
     (
-        *texts(reflector="its name; empty where the recording names none", parameter="as `ltsim effects` lists it"),
+        *texts(reflector="name of the SMR, or empty", parameter="as `ltsim effects` lists it"),
         *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
     ),
 )

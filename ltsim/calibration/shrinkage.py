@@ -27,32 +27,38 @@ from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
 from ltsim.calibration.schema import Correction
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
-"""Scales of the prior that are tried: steps of 12 %."""
+"""Tested scales of the prior: steps of 12 %."""
 CONTRADICTS = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
-"""The declared scale (1) is rejected if the maximum log-likelihood exceeds its own by more than this: likelihood ratio
-test."""
+"""Smallest excess of the maximum log-likelihood over that of the declared scale (1) at which this scale is rejected
+(likelihood ratio test).
+"""
 PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
-"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided likelihood ratio test."""
+"""Largest deficit of the log-likelihood of a plausible scale: one-sided likelihood ratio test."""
 UNLIKELY = 30.0
-"""Prior scale above which the misfit is attributed to something other than the instrument parameters: no instrument
-exceeds its guarantee so far in all of them."""
+"""Prior scale above which the misfit has another cause than the instrument parameters: no instrument exceeds its
+specification so far in all of them.
+"""
 NOTHING = 0.02
-"""No correction is applied if the shrunk one is below this share of the estimate (rms effect on a point)."""
+"""Smallest applied correction, relative to the estimate (rms effect on a point); a smaller one is not applied."""
 WORSE = 2.0
-"""A term is not applied if leaving it out lowers the held-out sum of squares by more than this: Akaike's penalty of one
-parameter, 2 in units of chi-square."""
+"""Decrease of the held-out sum of squares above which a term is not applied: Akaike's penalty of one parameter, 2 in
+units of chi-square.
+"""
 LARGEST = 400
-"""Held-out targets are tested in networks of at most this many poses and parameters (cost: a dense inverse)."""
+"""Largest number of poses and parameters of a network in which held-out targets are tested (cost of
+a dense inverse).
+"""
 MOST_TARGETS = 150
-"""Targets that are held out at most; of more, some evenly spread (cost)."""
+"""Largest number of held-out targets (cost); of more, an evenly distributed selection."""
 FEWEST = 5
-"""Held-out targets are tested if there are at least this many that predict each other."""
+"""Smallest number of mutually predicted targets for a test with held-out targets."""
 
 
 def correction_of(
@@ -63,10 +69,10 @@ def correction_of(
     wider: float | None = None,
     factor: float = 1.0,
 ) -> tuple[Correction, Floats]:
-    """The correction that an adjustment's parameters are worth, and its values (I, p) [SI]; `names` (I p) of them.
+    """Correction that is worth applying, and its values (I, p) [SI]; `names` (I p) are those of the parameters.
 
-    A prior widened by the factor `wider` stands for none: its scale is then estimated in any case. With a prior from
-    earlier calibrations (`history_prior`) all terms are applied, since more than this recording's targets supports
+    A prior widened by the factor `wider` represents no prior: its scale is then estimated in any case. With a prior
+    from earlier calibrations (`history_prior`) all terms are applied, since more than this recording's targets supports
     them, and the estimated scale is 1 at least. `factor` multiplies the noise of the readings: in a rejected fit they
     support a correction as far as their scatter allows.
     """
@@ -93,7 +99,9 @@ def correction_of(
     not_applied = tuple(names[k] for k in gone)
     notes = [n for n in (evidence.doubt, note) if n]
     if not_applied:
-        notes.append(f"not applied, as held-out targets are predicted better without them: {', '.join(not_applied)}")
+        words, plural = listing([name.replace("-", " ") for name in not_applied]), len(not_applied) > 1
+        terms, they = ("terms", "they are") if plural else ("term", "it is")
+        notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     values = mean * held
     values[used] = spread @ applied
     correction = Correction(
@@ -109,7 +117,7 @@ def correction_of(
 
 
 class ScaledPrior:
-    """The evidence of readings on parameters in prior sigmas under priors of other scales.
+    """Likelihood information on parameters in prior sigmas, evaluated for priors of other scales.
 
     Parameters
     ----------
@@ -145,12 +153,12 @@ class ScaledPrior:
 
     @property
     def scale(self) -> float:
-        """The most likely scale."""
+        """Most likely scale."""
         return float(self._scales[self._best])
 
     @property
     def plausible(self) -> tuple[float, float]:
-        """The smallest and the largest plausible scale."""
+        """Smallest and largest plausible scale."""
         near = np.flatnonzero(self._likelihood > self._likelihood[self._best] - PLAUSIBLE)
         return float(self._scales[near[0]]), float(self._scales[near[-1]])
 
@@ -179,10 +187,10 @@ class ScaledPrior:
         likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
         if self._is_something_else:
             contradict = f" and contradict each other by {self._rest:.2g} times their noise"
-            why = ", as no instrument has them" if self.scale > UNLIKELY else contradict
+            why = ", which no instrument has" if self.scale > UNLIKELY else contradict
             return (
                 f"the readings require parameters {self.scale:.2g} times the declared priors{why}: "
-                "something else causes the misfit, and no correction is applied"
+                "another cause explains the misfit, and no correction is applied"
             )
         if not self._is_free:
             return f"the readings contradict the declared priors: {likely}; the correction uses this scale"
@@ -191,11 +199,11 @@ class ScaledPrior:
         return f"without a prior, parameters of the usual proportions and {likely}; {applied}, the others hardly"
 
     def estimate(self, scale: float) -> Floats:
-        """The estimate (q,) under a scale."""
+        """Estimate (q,) under a scale."""
         return self._basis @ (self._information_vector / (self._strength + scale**-2))
 
     def shrunk_correction(self, by_unit: Floats, middle: Floats | float = 0.0) -> tuple[Floats, str]:
-        """Correction (q,) that is not expected to do harm under any plausible scale, and a sentence where it is shrunk.
+        """Correction (q,) that does not increase errors under any plausible scale, and a sentence if it is shrunk.
 
         `by_unit` (q, q) is the mean square of a new point's error as a form of the parameters' errors, `middle` (q,)
         the prior's mean.
@@ -207,11 +215,12 @@ class ScaledPrior:
             return full, ""
         share = float(np.sqrt((cautious @ by_unit @ cautious) / (full @ by_unit @ full)))
         if share < NOTHING:
-            return np.zeros_like(full), "no correction is applied: it may well make new points worse"
-        return cautious, f"{100 * share:.0f} % of the correction is applied: more may well make new points worse"
+            return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
+        limit = "more is likely to increase the errors of new points"
+        return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
 
     def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
-        """Expected error (rms) [m] of a new point by the constants, without a correction and with the applied one."""
+        """Expected rms error [m] of a new point due to the constants, without a correction and with the applied one."""
         scale = self.followed
         mean = middle + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
@@ -221,7 +230,7 @@ class ScaledPrior:
 
 
 def point_noise(recording: Recording, sigma: Floats) -> float:
-    """Rms [m] of the distance by which noise (n, 3) of one reading shifts a point, over all whole pointings."""
+    """Rms displacement [m] of a point by noise (n, 3) of one reading, over all complete pointings."""
     whole = recording.measured.all(axis=1)
     if not whole.any():
         return 0.0
@@ -231,10 +240,10 @@ def point_noise(recording: Recording, sigma: Floats) -> float:
 
 
 def point_errors(adjustment: Adjustment) -> Floats:
-    """Mean square error of a point as a form (I p, I p) of the parameters' errors [m^2 / SI^2].
+    """Mean square error of a point as a quadratic form (I p, I p) of the parameters' errors [m^2 / SI^2].
 
-    Over the pointings of each set-up, in the frame of the instrument; the part that a rigid motion
-    of the set-up explains is removed, since it needs no calibration.
+    The mean is over the pointings of each set-up, in the frame of the instrument; the part that a rigid motion of the
+    set-up explains is removed, because it needs no calibration.
     """
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument.shape
@@ -247,7 +256,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
         instrument = int(recording.instrument[rows[0]])
         readings, values = recording.readings[rows], state.instrument[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
-        error = less_rigid(by_value.reshape(-1, size), points)
+        error = without_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error
     return total / max(int(whole.sum()), 1)
@@ -255,12 +264,12 @@ def point_errors(adjustment: Adjustment) -> Floats:
 
 @dataclass(frozen=True)
 class HeldOutTarget:
-    """Residuals of one target's readings, held out, when the other targets predict them.
+    """Residuals of one target's readings when it is held out and the other targets predict them.
 
-    They check each other once its place is eliminated. With r their residual (m,) and A (m, K) their design by poses
+    After elimination of its place they check each other. With r their residual (m,) and A (m, K) their design by poses
     and parameters, both so reduced, C the covariance of these from all readings, H = A C A' and S = (1 - H)^-1, the
-    target held out leaves S r; a term fixed at zero changes what the others predict by a rank-one step for each of its
-    parameters. So all that is needed is m x m and p x p: one adjustment serves for every target and term.
+    held-out residual is S r; a term fixed at zero changes the prediction by a rank-one update for each of its
+    parameters. All matrices are m x m or p x p: one adjustment is sufficient for all targets and terms.
     """
 
     residual: Floats
@@ -268,9 +277,9 @@ class HeldOutTarget:
     by_parameter: Floats
     """Covariance S B' of the prediction with the parameters, B = C A', (m, q)."""
     covariance: Floats
-    """(q, q): of the parameters, from the other targets."""
+    """Covariance of the parameters from the other targets, (q, q)."""
     shift: Floats
-    """Shift b S r, the estimate from all readings less that from the others, (q,)."""
+    """Difference b S r of the estimates from all readings and from the other targets, (q,)."""
 
     def squares(self, values: Floats, fixed: Ints) -> float:
         """Sum of squares with the parameters `fixed` at zero; `values` (q,) are the estimates from all readings."""
@@ -309,7 +318,7 @@ def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
 
 
 def _terms(adjustment: Adjustment) -> list[Ints]:
-    """Indices of each term, a cosine with its sine or a single parameter, that was estimated and has information."""
+    """Indices of each estimated term with information: a cosine with its sine, or a single parameter."""
     prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
     open_ = ~prior.held.ravel() & (remaining < 1.0 - UNINFORMATIVE)
@@ -321,7 +330,7 @@ def _terms(adjustment: Adjustment) -> list[Ints]:
 
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
-    """Held-out prediction of every target whose readings check each other and whose coordinates are eliminated.
+    """Held-out residuals of every target with redundant readings and eliminated coordinates.
 
     Control coordinates of a target are held out with its readings and predicted with them.
     """
@@ -343,7 +352,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design (m, K) and residual (m,) of a target's rows with its place (m, 3) eliminated."""
+    """Design (m, K) and residual (m,) of a target's rows after elimination of its place (m, 3)."""
     basis = np.linalg.qr(place)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 

@@ -1,4 +1,4 @@
-"""Errors that the standard deviations of a calibration include, and errors that they do not, in sentences."""
+"""Sentences on the errors that the standard deviations of a calibration include and exclude."""
 
 from typing import Protocol
 
@@ -7,29 +7,29 @@ from ltsim.recordings.result_file import Entry, NotNegative, Positive
 
 
 class HiddenError(Entry):
-    """Error that no reading of the recording shows; no standard deviation includes it."""
+    """Error without effect on the readings, which no standard deviation includes."""
 
     source: str
-    """Description of the error, with its size."""
+    """Text of the error, with its size."""
     target_error_um: NotNegative
     """Rms displacement [um] of the targets by it, after the best rigid fit."""
 
 
 class UncertaintyEntry(Entry):
-    """Errors that standard deviations include, or do not include."""
+    """Errors that standard deviations include or exclude."""
 
     constants_included: bool = True
-    """The instrument's constants were estimated, or the set-up declares the instrument corrected."""
+    """True if the instrument's constants were estimated, or the set-up declares the instrument corrected."""
     uncertainty_factor: Positive = 1.0
-    """Factor in all standard deviations and covariances: sigma0 where the readings contradict the model, else 1."""
+    """Factor in all standard deviations and covariances: sigma0 if the readings contradict the model, else 1."""
     air: str = ""
-    """Errors of the air in the standard deviations of targets and stations; empty where ranges are short."""
+    """Text of the errors of the air in the standard deviations of targets and stations; empty for short ranges."""
     hidden: tuple[HiddenError, ...] = ()
-    """Errors that no reading shows and that matter, the largest first; no standard deviation includes them."""
+    """Errors without effect on the readings that matter, the largest first; no standard deviation includes them."""
 
 
 class UncertaintyBasis(Protocol):
-    """Fields of a calibration that say what its standard deviations include."""
+    """Interface of a calibration: fields on the errors that its standard deviations include."""
 
     @property
     def uncertainty_factor(self) -> float: ...  # noqa: D102
@@ -47,7 +47,7 @@ def uncertainty_sentences(result: UncertaintyBasis) -> list[str]:
     if result.uncertainty_factor > 1.0:
         sentences.append(
             "The readings contradict the model: all standard deviations are multiplied by sigma0 = "
-            f"{number(result.uncertainty_factor, 3)}. Where a single cause acts, coordinates may be off by more."
+            f"{number(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(
@@ -62,6 +62,7 @@ def uncertainty_sentences(result: UncertaintyBasis) -> list[str]:
     if result.hidden:
         sizes = "; ".join(f"{error.source}: {number(error.target_error_um, 2)} um (rms)" for error in result.hidden)
         sentences.append(
-            f"No reading shows the following errors of the targets, and no standard deviation includes them: {sizes}."
+            f"The readings do not show the following errors of the targets, and the standard deviations do not include "
+            f"them: {sizes}."
         )
     return sentences

@@ -46,7 +46,7 @@ def calibrate(
     with_effects: str | Effect | Sequence[str | Effect] = (),
     advise: bool = True,
 ) -> Calibration:
-    """Estimate the instrument's parameters from a recording, with uncertainty and undetermined combinations.
+    """Instrument parameters from a recording, with uncertainties and undetermined combinations.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def calibrate(
         raise unknown_name("method", method, ("network", *METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
-            raise ModelError("harmonics and degree go with a construction's name: this one is built already")
+            raise ModelError("harmonics and degree need a construction given by its name")
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
@@ -117,7 +117,7 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
     effects = each_of(with_effects)
     if box is not None and not method.startswith("equation-9"):
-        raise ModelError(f"{option('box')} goes with the methods equation-9 and equation-9-l1, not {method}")
+        raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
     source = recording_of(recording)
     if method == "network":
         extra_effects = [requested_effect(asked, source) for asked in effects]
@@ -126,12 +126,15 @@ def calibrate(
         )
     if any(options.values()) or prior is not None or effects:
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
-        raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")
+        raise ModelError(f"{listed} and {option('with_effects')} need {option('method')} network, not {method}")
     return reported(calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box))
 
 
 def requested_effect(asked: str | Effect | Sized, recording: Recording) -> RequestedEffect:
-    """Requested effect from an effect (default fields are chosen by the readings) or words; ModelError with sizes."""
+    """Requested effect from an effect (default fields are selected by the readings) or a text.
+
+    Raises ModelError for sizes.
+    """
     if isinstance(asked, Sized):
         raise ModelError(f"{asked.effect.name} has a size, as for simulate and inject; give it without a size")
     if isinstance(asked, str):
@@ -141,7 +144,7 @@ def requested_effect(asked: str | Effect | Sized, recording: Recording) -> Reque
 
 
 def _in_words(text: str, recording: Recording) -> RequestedEffect:
-    """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
+    """Requested effect from a text, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -157,7 +160,7 @@ def _in_words(text: str, recording: Recording) -> RequestedEffect:
             places["stations" if item in recording.stations else "targets"] += (item,)
         else:
             listed = ", ".join(recording.stations)
-            raise ModelError(f"'{text}': '{item}' is no station ({listed}), no target, and no CONSTANT=VALUE")
+            raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or CONSTANT=VALUE")
     if is_law and constants:
         raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
@@ -167,16 +170,16 @@ def _in_words(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
-    """Construction of a name; None for the one that the set-up declares."""
+    """Construction of a name; None for the declared one."""
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
-        raise ModelError(f"{option('harmonics')} and {option('degree')} go with the construction dh")
+        raise ModelError(f"{option('harmonics')} and {option('degree')} need the construction dh")
     return None
 
 
 def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:
-    """Disagreement of the stations about distances and coordinates, before and after a calibration.
+    """Disagreement of the stations in distances and coordinates, before and after a calibration.
 
     Parameters
     ----------
@@ -187,7 +190,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     Raises
     ------
     NetworkError
-        When fewer than two stations share targets.
+        If fewer than two stations have common targets.
 
     Examples
     --------
@@ -208,7 +211,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
-    """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
+    """Errors of another recording relative to nominal points, before and after a calibration (eq. 13, 14).
 
     Parameters
     ----------
@@ -242,21 +245,21 @@ def history(
     dates: str | Sequence[str] | None = None,
     **options: Any,
 ) -> History:
-    """Follow one instrument over calibrations in the order of time: course, spread, and changes.
+    """History of one instrument over calibrations in chronological order: course, spread, and changes.
 
     Parameters
     ----------
     sources : iterable of Calibration, Recording, str or Path, or mapping of str to these
         A recording is calibrated first, with `options` of `calibrate`. A mapping gives their labels.
     instrument : str, optional
-        Which, where a calibration holds several.
+        Name of the instrument, if a calibration has several.
     dates : sequence of str, optional
         Date of each in ISO form; default those of their recordings.
 
     Raises
     ------
     RecordError
-        When there are fewer than two, or they do not belong to one instrument.
+        For fewer than two calibrations, or for different instruments.
 
     Examples
     --------

@@ -1,15 +1,15 @@
-"""Campaigns: many trials over a grid of settings, run fast, kept safely, summarised by queries."""
+"""Campaigns: many trials over a grid of settings, computed in batches, stored safely, summarised by queries."""
 
 import os
 
 from ltsim.core.errors import require
 
 PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""Packages that only campaigns need: a third of a whole installation."""
+"""Packages that only campaigns need, a third of a complete installation."""
 
 
 def require_packages() -> None:
-    """Raise SetupError, saying what to install, where a package is missing that campaigns need."""
+    """Check that the packages of campaigns are installed; raises SetupError that says what to install."""
     require(PACKAGES, "campaigns", "campaigns")
 
 

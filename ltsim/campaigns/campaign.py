@@ -1,8 +1,8 @@
-"""A campaign from its file to its rows: shards done by workers, written by one hand, continued after any stop.
+"""Execution of a campaign: shards computed by workers, written by one process, resumable after any interruption.
 
-The rows are the same bytes for any number of workers, interruptions and backend, on processors of one type and with
-the same versions: the compiler and the matrix library choose their instructions by the processor, which moves the last
-bit of a sum. The manifest names type and versions.
+The rows are identical bytes for any number of workers, interruptions and backend, on processors of one type and with
+the same versions: compiler and matrix library choose their instructions by the processor, which changes the last bit of
+a sum. The manifest names processor type and versions.
 """
 
 import os
@@ -36,24 +36,24 @@ from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
 
-DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
-"""Packages whose version can change a row's bytes."""
-GROWS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
-"""Keys of the file that may say more while its rows stay."""
+VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
+"""Packages whose version can change the bytes of a row."""
+EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
+"""Keys of the campaign file that may be extended while existing rows remain valid."""
 Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers that compute the shards: local processes, or those of a dask scheduler."""
+    """Workers that compute the shards: local processes, or those of a Dask scheduler."""
 
     jobs: int = 1
-    """Processes on this machine; with dask the scheduler's workers decide."""
+    """Number of processes on this machine; with Dask the scheduler decides."""
     backend: str = "local"
     """`local` or `dask`."""
     scheduler: str = ""
-    """Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that it wrote (``dask scheduler
-    --scheduler-file cluster.json``).
+    """Address of the Dask scheduler, such as ``tcp://127.0.0.1:8786``, or its file (``dask scheduler --scheduler-file
+    cluster.json``).
     """
 
     def __post_init__(self) -> None:
@@ -65,7 +65,7 @@ class Workers:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run: its folder, the numbers of shards, and notes for the user."""
+    """Result of a run: its folder, numbers of shards, and notes for the user."""
 
     folder: Path
     shards: int
@@ -73,7 +73,7 @@ class Outcome:
     existing: int
     """Number of shards that were complete before this run."""
     notes: tuple[str, ...]
-    """Notes for the user: damaged shards that were computed again, another commit than at the beginning."""
+    """Notes for the user, such as on damaged shards that were recomputed, or on another commit than at the start."""
 
 
 def run_campaign(
@@ -87,9 +87,9 @@ def run_campaign(
     tables: Mapping[str, Any] | None = None,
     progress: Progress = lambda trials: None,
 ) -> Outcome:
-    """Run, continue or extend the campaign of a file: as `ltsim.campaign`, by any workers.
+    """Run, continuation or extension of a campaign, as `ltsim.campaign` but with any workers.
 
-    `tables` stand for a file that is not there. `progress` is told the number of trials that were done.
+    `tables` replace a file. `progress` is called with the number of finished trials.
     """
     with as_setup_error():
         check_writable(folder, folder=True)
@@ -100,13 +100,13 @@ def run_campaign(
     taken = [] if store.begun or force else store.taken(sources)
     if taken:
         raise SetupError(
-            f"{folder}: holds {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
+            f"{folder}: contains {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
         )
     with store.lock():
         if force and not resume:
             store.clear()
         if store.begun:
-            campaign, cells = _grown(store, campaign, cells, file, resume=resume)
+            campaign, cells = _extended(store, campaign, cells, file, resume=resume)
             notes += _check_same(store)
         manifest = _manifest(campaign, factors, cells)
         made_here = {name: getattr(manifest, name) for name in ("commit", "processor", "versions")}
@@ -115,7 +115,7 @@ def run_campaign(
         store.sweep()
         done, existing = 0, 0
         for wanted in rounds(campaign, len(cells), partial(_half_intervals, folder)):
-            waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
+            waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
             try:
@@ -123,16 +123,16 @@ def run_campaign(
                     store.write_shard(task.cell, task.shard, content)
                     progress(rows_of(campaign, task.shard))
             except WorkerError as problem:
-                raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
+                raise SetupError(f"{folder}: {problem}; finished shards are kept; continue with --resume") from None
     spared = len(cells) * campaign.shards - done - existing
     if spared:
         share = 100 * spared / (len(cells) * campaign.shards)
-        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed, since their cells stopped")
+        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed: their cells had converged")
     return Outcome(folder, done, existing, tuple(notes))
 
 
 def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is: bool) -> dict[str, bytes]:
-    """The files that the campaign was given, to be kept with its rows: scenarios, points, CAD, the file itself."""
+    """Input files of the campaign, stored with its rows: scenarios, points, CAD files, the campaign file."""
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
     contents, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
     for path in cad_files([place for cell in cells for place in (cell.scenario, cell.judge) if place is not None]):
@@ -144,7 +144,7 @@ def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is:
 
 
 def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
-    """Notes on effects without anything to act on; raises SetupError for a fault that would stop every trial."""
+    """Notes on effects without influence; raises SetupError for an error that would stop every trial."""
     idle = []
     for method in campaign.methods:
         fitted_construction(method)
@@ -158,32 +158,34 @@ def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell],
     return idle
 
 
-def _grown(
+def _extended(
     store: Store, campaign: Campaign, cells: tuple[Cell, ...], file: Path, *, resume: bool
 ) -> tuple[Campaign, tuple[Cell, ...]]:
-    """The campaign that the folder holds with what the file adds to it: old cells keep their numbers.
+    """Campaign of the folder extended by the additions of the file; existing cells keep their numbers.
 
-    Raises SetupError where the file would change rows that are there.
+    Raises SetupError if the file would change existing rows.
     """
     if not resume:
         raise SetupError(
             f"{store.folder}: holds a campaign; continue it with --resume, name another --out, "
-            "or begin anew with --force"
+            "or start again with --force"
         )
     manifest = store.manifest()
     if not all(old.mark for old in manifest.cells):
         raise SetupError(
-            f"{store.folder}: begun by an earlier version of ltsim; begin anew with another --out, or with --force"
+            f"{store.folder}: started by an earlier version of ltsim; start again with another --out, or with --force"
         )
     before, ordered, remaining = manifest.settings, list[Cell](), list(cells)
     for old in manifest.cells:
         same = next((cell for cell in remaining if cell.mark == old.mark), None)
         if same is None:
             now = campaign.model_dump(mode="json", by_alias=True)
-            changed = [key for key in now if key not in GROWS and before.get(key) != now[key]] or ["the scenario"]
+            changed = [key for key in now if key not in EXTENDABLE_KEYS and before.get(key) != now[key]] or [
+                "the scenario"
+            ]
             raise SetupError(
-                f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / SOURCE}, or begin anew with another --out"
+                f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
+                f"continue with {store.folder / SOURCE}, or start again with another --out"
             )
         remaining.remove(same)
         ordered.append(same)
@@ -198,39 +200,42 @@ def _grown(
 
 
 def _check_same(store: Store) -> list[str]:
-    """Continue only with the versions it was begun with; a remark where code or processor differ."""
+    """Notes on changes since the start (code, processor).
+
+    Raises SetupError for other versions of the packages in `VERSIONED_PACKAGES`.
+    """
     manifest = store.manifest()
     then, today = manifest.versions, _versions()
-    for name in DECIDING:
+    for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:
             before = shown(str(then.get(name)))
             raise SetupError(
-                f"{store.folder}: begun with {name} {before}, this is {today[name]}, whose rows may differ; "
-                "continue with the same version, or begin anew with another --out"
+                f"{store.folder}: started with {name} {before}, this is {today[name]}, whose rows may differ; "
+                "continue with the same version, or start again with another --out"
             )
     notes = []
     if (begun := manifest.commit) != (now := commit()):
         before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
-        notes.append(f"begun with {before}, continued with {after}; where the solver changed, rows may differ")
+        notes.append(f"started with {before}, continued with {after}; if the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor()):
-        notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
+        notes.append(f"started on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]
 
 
 def _versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {name: version(name) for name in DECIDING}
+    return {"python": platform.python_version()} | {name: version(name) for name in VERSIONED_PACKAGES}
 
 
 def processor() -> str:
-    """The type of this machine's processor, by which compiled code is made: with the versions it decides the bytes."""
+    """Type of this machine's processor; with the versions it determines the bytes of rows."""
     return str(llvmlite.binding.get_host_cpu_name())
 
 
 def commit() -> str | None:
-    """The commit of ltsim's own checkout that the package runs from.
+    """Commit of the ltsim checkout from which the package runs.
 
-    None where it runs from another place, such as an environment that lies in the checkout of another project: git then
-    tracks no file of the package, or the top of the checkout is not the folder that holds the package.
+    It is None if it runs from elsewhere, such as an environment inside the checkout of another project: git then does
+    not track the package, or the root of the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
     asked = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
@@ -269,33 +274,33 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
     )
 
 
-def _waiting(
+def _pending_shards(
     store: Store, campaign: Campaign, cells: Sequence[Cell], wanted: list[Shard], progress: Progress
 ) -> tuple[list[ShardTask], list[str]]:
-    """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
+    """Shards to be computed among the wanted ones, and notes; damaged shards are renamed and computed again."""
     waiting, notes, digests = [], [], store.digests()
     for cell, shard in wanted:
         task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
-        state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), digests)
+        state = store.shard_status(cell, shard, task.key, rows_of(campaign, shard), digests)
         if state == "whole":
             if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in digests:
                 store.note(cell, shard)
             progress(rows_of(campaign, shard))
             continue
         if state == "damaged":
-            aside = store.set_aside(cell, shard)
-            notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
+            aside = store.quarantine(cell, shard)
+            notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and computed again")
         waiting.append(task)
     return waiting, notes
 
 
 def _half_intervals(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
-    """Half of the interval of a statistic's mean by so many first shards, by cell and method."""
+    """Half-width of the confidence interval of a statistic's mean over the first shards, by cell and method."""
     return {(s.cell, s.method): 0.5 * (s.high - s.low) for s in Statistics(folder, shards).spread(statistic)}
 
 
 def _results(tasks: list[ShardTask], workers: Workers, store: Store) -> Iterator[tuple[ShardTask, bytes]]:
-    """Shards as they are done; what of one is there already goes with its task."""
+    """Computed shards in order of completion; existing rows of a shard are part of its task."""
     given = (
         replace(t, held=store.rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None)
         for t in tasks

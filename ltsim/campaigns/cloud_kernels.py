@@ -1,8 +1,8 @@
-"""Compiled kernels on clouds of points for a block of trials: means, rigid fits, the paper's criteria and objective.
+"""Compiled kernels on point clouds of a block of trials: means, rigid fits, the paper's criteria and objective.
 
-The same quantities as in `ltsim.adjustment.evaluation`, trials last. Rigid fits start from frames that agree to the
-size of the errors, so Newton's method on the rotation replaces the singular value decomposition: three steps reach
-rounding.
+The quantities are those of `ltsim.adjustment.evaluation`; the last index is the trial. Rigid fits start from frames
+that agree to the size of the errors, so that three steps of Newton's method on the rotation, in place of a singular
+value decomposition, reach rounding.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ MICRO = 1e6
 
 @compiled
 def station_means(points: Floats, station: Ints, target: Ints, share: Floats, out: Floats) -> None:
-    """Add points (n, 3, B) times share (n,) to the clouds (S, T, 3, B) they belong to."""
+    """Addition of points (n, 3, B) times weights (n,) to the clouds (S, T, 3, B) of their stations and targets."""
     for i in range(len(points)):
         cloud = out[station[i], target[i]]
         for c in range(3):
@@ -27,7 +27,7 @@ def station_means(points: Floats, station: Ints, target: Ints, share: Floats, ou
 
 @compiled
 def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
-    """Clouds (S, T, 3, B) from the instruments' frames to the network's by the nominal poses, in place."""
+    """Transformation of clouds (S, T, 3, B) from instrument frames to the network frame by nominal poses, in place."""
     for s in range(len(clouds)):
         r, place = rotation[s], position[s]
         r00, r01, r02, p0 = r[0, 0], r[0, 1], r[0, 2], place[0]
@@ -59,7 +59,7 @@ def _centre(cloud: Floats, use: Bools, out: Floats) -> None:
 
 @compiled
 def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
-    """Move a cloud (T, 3, B) rigidly onto a goal by least squares over the targets in use (T,)."""
+    """Rigid least-squares alignment of a cloud (T, 3, B) to a goal, by the targets in use (T,)."""
     trials = source.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
     _centre(source, use, middle)
@@ -89,7 +89,7 @@ def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
 
 @compiled
 def _turn_towards(k: Floats, more: Floats) -> None:
-    """A Newton step `more` on the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
+    """Newton step `more` of the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
     for t in range(k.shape[2]):
         trace = k[0, 0, t] + k[1, 1, t] + k[2, 2, t]
         m00, m11, m22 = trace - k[0, 0, t], trace - k[1, 1, t], trace - k[2, 2, t]
@@ -120,7 +120,7 @@ def _turn_towards(k: Floats, more: Floats) -> None:
 
 @compiled
 def _turn_by(r: Floats, columns: Floats) -> None:
-    """Turn columns (3, 3, B) by rotations (3, 3, B), in place."""
+    """Rotation of columns (3, 3, B) by rotations (3, 3, B), in place."""
     for b in range(3):
         for t in range(r.shape[2]):
             x, y, z = columns[0, b, t], columns[1, b, t], columns[2, b, t]
@@ -131,7 +131,7 @@ def _turn_by(r: Floats, columns: Floats) -> None:
 
 @compiled
 def add_square_error(moved: Floats, goal: Floats, use: Bools, total: Floats) -> int:
-    """Add squared distances between clouds (T, 3, B) to total (B,); how many targets that were."""
+    """Number of targets in use; their squared distances between clouds (T, 3, B) are added to `total` (B,)."""
     count = 0
     for i in range(len(moved)):
         if use[i]:
@@ -145,7 +145,7 @@ def add_square_error(moved: Floats, goal: Floats, use: Bools, total: Floats) -> 
 
 @compiled
 def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
-    """Mean and maximum (B,) [um] over pairs of targets of the mean deviation of their distance over stations."""
+    """Mean and maximum (B,) [um], over pairs of targets, of the mean deviation of their distance between stations."""
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
     mean[:], largest[:] = 0.0, 0.0
@@ -180,7 +180,7 @@ def distance_criterion(clouds: Floats, visible: Bools, mean: Floats, largest: Fl
 
 @compiled
 def coordinate_criterion(placed: Floats, visible: Bools, mean: Floats, largest: Floats) -> None:
-    """Mean and maximum (B,) [um] over targets of the mean distance between their places from two stations."""
+    """Mean and maximum (B,) [um], over targets, of the mean distance between their positions from two stations."""
     stations, targets, _, trials = placed.shape
     spread = np.empty(trials)
     mean[:], largest[:] = 0.0, 0.0
@@ -211,7 +211,7 @@ def coordinate_criterion(placed: Floats, visible: Bools, mean: Floats, largest: 
 def _spread_force(
     first: Floats, second: Floats, on_first: Floats, on_second: Floats, size: Floats, length: Floats
 ) -> None:
-    """Add to the forces (3, B) on two points a size (B,) along the line between them."""
+    """Addition of a force of size (B,) along the line between two points to the forces (3, B) on them."""
     for c in range(3):
         for t in range(len(size)):
             part = size[t] / length[t] * (first[c, t] - second[c, t])
@@ -228,7 +228,7 @@ def _between(first: Floats, second: Floats, out: Floats) -> None:
 
 @compiled
 def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
-    """Index of the known length between a pair of targets; -1 for none."""
+    """Index of the reference length between a pair of targets; -1 for none."""
     for g in range(len(gauge)):
         if (gauge[g, 0] == i and gauge[g, 1] == j) or (gauge[g, 0] == j and gauge[g, 1] == i):
             return g
@@ -237,10 +237,11 @@ def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
 
 @compiled
 def distance_forces(clouds: Floats, visible: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats) -> None:
-    """Half the objective's derivative by the points of all sets, and the objective.
+    """Half of the derivative of the objective with respect to the points of all sets, and the objective.
 
-    Of `clouds` (O, T, 3, B) [m], the points of each set (a station and a face), some are `seen` (O, T); pairs of
-    targets `gauge` (g, 2) have known lengths (g, B). `forces` (O, T, 3, B) and `cost` (B,) are added to.
+    `clouds` (O, T, 3, B) [m] are the points of each set (station and face), `visible` (O, T) marks the measured ones,
+    and pairs of targets `gauge` (g, 2) have reference lengths (g, B). The results are added to `forces` (O, T, 3, B)
+    and `cost` (B,).
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)

@@ -1,4 +1,4 @@
-"""Columns of the rows of a campaign: settings of the cell, then results, each with its unit in the file."""
+"""Columns of a campaign's rows: settings of the cell, then results, each with its unit."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -15,15 +15,17 @@ from ltsim.physics.effects.effect import Effect, Parameter
 from ltsim.physics.model.construction import Construction
 
 Columns = dict[str, NDArray[Any]]
-"""Named results (B,), one value a trial; lengths in um, as the names say."""
+"""Results by name, each (B,) with one value per trial; lengths in um as in the names."""
 TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 
 
 class ParameterLabel(NamedTuple):
-    """A parameter of an instrument, or of an effect, as the rows call it."""
+    """Label of a parameter of an instrument or effect in the rows."""
 
     name: str
-    """``beam-tilt``, ``beam-tilt@NAME`` of several instruments; ``head-sag:sag S2``, ``head-sag:sag S2 #2``."""
+    """Text of the label: ``beam-tilt``, ``beam-tilt@NAME`` for several instruments; ``head-sag:sag S2``, ``head-sag:sag
+    S2 #2``.
+    """
     parameter: Parameter
     effect: Effect | None = None
 
@@ -31,7 +33,7 @@ class ParameterLabel(NamedTuple):
 def labels_of(
     construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
-    """The parameters of all instruments, then those of effects."""
+    """Labels of the parameters of all instruments, then of those of effects."""
     names, counts = construction.names_of(instruments), Counter[str]()
     labels = [ParameterLabel(*pair) for pair in zip(names, construction.parameters * len(instruments), strict=True)]
     for effect in effects:
@@ -44,14 +46,14 @@ def labels_of(
 
 
 def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> Columns:
-    """Parameters (P, B) [SI] as columns in display units: ``estimate:beam-tilt``."""
+    """Columns of parameters (P, B) [SI] in units of display, such as ``estimate:beam-tilt``."""
     return {f"{prefix}:{label.name}": row / label.parameter.factor for label, row in zip(labels, values, strict=True)}
 
 
 def z_scores(
     labels: Sequence[ParameterLabel], values: Floats, sigma: Floats, true_labels: Sequence[ParameterLabel], true: Floats
 ) -> Columns:
-    """(estimate - truth) / sigma of the parameters (P, B) that are among the true ones."""
+    """Columns of z-scores, (estimate - truth) / sigma, of those parameters (P, B) that have a true value."""
     true_values = {(label.name, label.effect): true_value for label, true_value in zip(true_labels, true, strict=True)}
     with np.errstate(divide="ignore", invalid="ignore"):
         return {
@@ -72,7 +74,7 @@ def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
 def with_settings(
     table: pa.Table, factors: Sequence[Factor], levels: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
-    """The rows of a cell with its settings behind the column `cell`, and units in the metadata of the columns."""
+    """Rows of a cell with its settings after the column `cell`, and units in the metadata of the columns."""
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
@@ -88,7 +90,7 @@ def with_settings(
 
 
 def rows_of_method(cell: int, method: str, parts: list[Columns]) -> pa.Table:
-    """Columns as a table; numbers that people read are kept to seven digits, empty where a geometry has none."""
+    """Columns of a method as a table; displayed numbers have seven digits and are empty if a geometry has no value."""
     names = dict.fromkeys(name for part in parts for name in part)
     merged = {
         name: np.concatenate([part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in parts])

@@ -1,4 +1,4 @@
-"""The one way in which this room compiles a function."""
+"""Decorators for compiled functions of campaigns."""
 
 from collections.abc import Callable
 from typing import TypeVar, cast
@@ -18,9 +18,9 @@ if llvmlite.binding.llvm_version_info[0] >= 17:
 
 
 def compiled(function: Callable[..., R]) -> Callable[..., R]:
-    """Compile at the first call and cache the machine code next to the source.
+    """Compiled version of a function; it is compiled at the first call, and the machine code is cached with the source.
 
-    Sums keep their order; only a product and a sum may be fused. Runs outside the interpreter lock.
+    The order of sums is fixed; only a product and a sum may be fused. The function runs without the interpreter lock.
     """
 
     def compiled_kernel(cache: bool) -> Callable[..., R]:
@@ -34,19 +34,19 @@ def compiled(function: Callable[..., R]) -> Callable[..., R]:
 
 
 def inlined(function: Callable[..., R]) -> Callable[..., R]:
-    """Compile inline into the caller, so that a loop around the call still becomes vector instructions."""
+    """Compiled version of a function that is inlined into its caller, so that loops around it can be vectorised."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
     return cast(Callable[..., R], compiler(function))
 
 
 def at(value: Floats | float, trial: int) -> float:
-    """A trial's own value: of a number that all trials share, or of a row with one for each of them."""
+    """Value of a trial: the common number of all trials, or the entry of an array (B,)."""
     return value if isinstance(value, float) else float(value[trial])
 
 
 @overload(at, strict=False)
 def _at(value: object, trial: object) -> Callable[..., object]:
-    """The choice is made by type when a kernel is compiled: what trials share costs nothing."""
+    """Implementation for the type of the value, chosen when a kernel is compiled, without run-time cost."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

@@ -1,4 +1,4 @@
-"""Experimental design of a campaign: its factors, points spread over ranges, and the names and values in rows."""
+"""Experimental design of a campaign: its factors, points in ranges, and names and values in the rows."""
 
 import json
 from collections import Counter
@@ -15,50 +15,50 @@ from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
 from ltsim.simulation.keys import Kind, kind_of, value_at
 
-TAKEN = frozenset(
+RESERVED_COLUMNS = frozenset(
     {
         "cell", "label", "method", "trial", "trials", "status", "chi2",
         "column", "unit", "mean", "deviation", "low", "high", "least", "largest",
     }
 )  # fmt: skip
-"""Names of columns that every campaign has."""
-DIGITS = 4
-"""Significant digits of a value that a design places: enough to distinguish points, few enough to read."""
-MOST_RANGES = 64
+"""Names of the columns that every campaign has."""
+SIGNIFICANT_DIGITS = 4
+"""Number of significant digits of a value in a design: points remain distinct and readable."""
+MAX_RANGES = 64
 
 
 class Range(TomlSection):
-    """Range of a design's points along one key, in the key's unit; whole numbers where the key takes those."""
+    """Range of a design's points along one key, in the unit of the key; integers if the key takes integers."""
 
     low: Finite
     """Smallest value of the key."""
     high: Finite
     """Largest value of the key."""
     scale: Literal["linear", "log"] = "linear"
-    """Spacing of the points: even in the value, or in its logarithm."""
+    """Spacing of the points: uniform in the value, or in its logarithm."""
 
     @model_validator(mode="after")
     def _upward(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
-            raise ValueError("it should have low below high, and low above 0 where the scale is log")
+            raise ValueError("it should have low below high, and low above 0 for a log scale")
         return self
 
     def at(self, share: Floats, *, whole: bool) -> list[float]:
-        """Values at shares (n,) of the range; whole ones are equally likely."""
+        """Values at fractions (n,) of the range; integers are equally likely."""
         low, high = (self.low, self.high + 1.0) if whole else (self.low, self.high)
         values = low * (high / low) ** share if self.scale == "log" else low + share * (high - low)
-        return [int(min(v, self.high)) if whole else float(f"{v:.{DIGITS}g}") for v in values]
+        return [int(min(v, self.high)) if whole else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
 
 
 class Design(TomlSection):
-    """Points spread evenly over ranges of several keys at once, where a grid would need too many cells."""
+    """Points distributed evenly over ranges of several keys, in place of a grid with too many cells."""
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
     """Number of points; for a Sobol sequence a power of two."""
-    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MOST_RANGES)]
-    """Range of each key, by dotted key or name of `[link]`: tables `[design.ranges.KEY]`."""
+    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MAX_RANGES)]
+    """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
     def _balanced(self) -> Self:
@@ -68,7 +68,10 @@ class Design(TomlSection):
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
-        """The value of every range at each point, drawn by the campaign's seed; `keys` says what each range sets."""
+        """Value of every range at each point, drawn with the campaign's seed.
+
+        `keys` gives the keys that each range sets.
+        """
         from scipy.stats import qmc  # a second to load, and few campaigns have a design
 
         draw = stream(seed, "campaign", "design", self.kind)
@@ -94,12 +97,12 @@ class Factor(Entry):
     """Type of its values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Value of the factor in a cell, from the tables of its scenario; tables as JSON, None for an absent key."""
+        """Value of the factor in a cell, from the tables of its scenario; tables as JSON, None for a missing key."""
         value = value_at(dict(scenario), self.keys[0])
         return json.dumps(value) if isinstance(value, (dict, list)) else value
 
     def words(self, level: Any) -> str:
-        """The value as a person reads it, with its unit where the name does not carry it."""
+        """Text of a level with its unit, if the name of the factor does not contain the unit."""
         text = level if isinstance(level, str) else "none" if level is None else f"{level:g}"
         if isinstance(level, bool):
             text = "yes" if level else "no"
@@ -112,7 +115,9 @@ def short_names(keys: Sequence[str]) -> dict[str, str]:
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
         often = Counter(names.values())
-        again = [k for k in keys if (often[names[k]] > 1 or names[k] in TAKEN) and depth[k] < len(k.split("."))]
+        again = [
+            k for k in keys if (often[names[k]] > 1 or names[k] in RESERVED_COLUMNS) and depth[k] < len(k.split("."))
+        ]
         if not again:
             return names
         for key in again:

@@ -1,12 +1,13 @@
-"""The paper's distance objective for all trials that share a geometry.
+"""The paper's distance objective for all trials with a common geometry.
 
-As for the network: the objective's normal matrix at the nominal network gives the steps of all trials, the gradient is
-exact at each trial's own readings and parameters, so the iteration ends at the trial's own optimum. Which combinations
-are estimated and how many are left at zero is decided once, at the nominal network.
+As for the network, the normal matrix at the nominal network gives the steps of all trials, and the gradient is exact
+for the readings and parameters of each trial, so that the iteration converges to the optimum of the trial. The nominal
+network decides which combinations are estimated and which remain zero.
 
-Least absolute deviations take each step from a linear program with the trial's own matrix and combinations: an edge of
-the program may be longer than what the matrices of two trials differ by. Equation 9 as printed leaves no combination at
-zero that changes a compared distance at all; weak ones move far, so each step takes the trial's own matrix too.
+For least absolute deviations each step is the solution of a linear program with the matrix and combinations of the
+trial, because small differences between matrices may change the optimal vertex. Equation 9 as printed estimates every
+combination that changes a compared distance. Weakly determined combinations change much, so that each step uses the
+matrix of the trial too.
 """
 
 from dataclasses import dataclass
@@ -26,24 +27,27 @@ from ltsim.calibration.distance_solver import (
 )
 from ltsim.calibration.objective import DistanceProblem, Distances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
-from ltsim.campaigns.engine import Calibrated, Engine, members
+from ltsim.campaigns.engine import BatchCalibrator, Calibrated, members
 from ltsim.campaigns.kernels import points_of, pull_points
 from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.truth import Block
+from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.solve.absolute import least_absolute
 
 CAP, CAP_OF_WEAK = 10, 30
-"""Steps at most; the second where weak combinations move by least squares."""
-CLOSED = 3e-5
-"""Converged when no unknown moves by more than this share of its prior sigma; what remains is a hundredth of it."""
+"""Largest number of steps; the second value applies to weakly determined combinations by least squares."""
+CONVERGED_CHANGE = 3e-5
+"""Largest change of an unknown, in prior sigmas, of a converged trial; the remaining error is a hundredth of it."""
 
 
 @dataclass(frozen=True)
-class BatchDistance(Engine):
-    """Batched distance calibration: `distance` or `equation-9`, by least squares; with `-l1` by least absolute ones."""
+class BatchDistance(BatchCalibrator):
+    """Batch calibration by distances (`distance`, `equation-9`).
+
+    By least squares, or by least absolute deviations with `-l1`.
+    """
 
     method: str = "distance"
 
@@ -54,18 +58,18 @@ class BatchDistance(Engine):
 
     @property
     def as_printed(self) -> bool:
-        """Every combination that the objective sees is estimated."""
+        """True if every combination that changes the objective is estimated."""
         return self.method.startswith("equation-9")
 
     @cached_property
     def problem(self) -> DistanceProblem:
-        """The objective at the nominal network."""
+        """Distance objective at the nominal network."""
         recording = self.truth.recording
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
     @cached_property
     def estimate(self) -> Estimates:
-        """Estimate at nominal readings: zero, its covariance, and the combinations that it leaves out."""
+        """Estimate at nominal readings: zero, its covariance, and the combinations that are not estimated."""
         if self.as_printed:
             return solve_equation_9(self.problem, "absolute" if self.absolute else "squares")
         return solve_distances(self.problem, METHODS[self.method])
@@ -76,7 +80,7 @@ class BatchDistance(Engine):
 
     @cached_property
     def _determined(self) -> Floats:
-        """Combinations (q, k) that are estimated."""
+        """Estimated combinations, (q, k)."""
         excluded = np.array([d.vector for d in self.estimate.undetermined]).reshape(-1, self.problem.prior_sigma.size)
         return np.linalg.svd(np.eye(excluded.shape[1]) - excluded.T @ excluded)[0][
             :, : excluded.shape[1] - len(excluded)
@@ -84,7 +88,7 @@ class BatchDistance(Engine):
 
     @cached_property
     def step_matrix(self) -> Floats:
-        """A step in units of the prior sigmas from half a gradient, within what is estimated, (q, q)."""
+        """Matrix (q, q) from half a gradient to a step in prior sigmas, within the estimated combinations."""
         rows, determined = self._mean_rows, self._determined
         normal = rows.by_unknown.T @ rows.by_unknown
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
@@ -108,16 +112,16 @@ class BatchDistance(Engine):
         visible, share = members(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
-    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
-        """The block by its parameters, and the network of the readings that these correct."""
+    def together(self, block: TrialBatch, wanted: Ints) -> tuple[Calibrated, Bools]:
+        """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
         values, moved = self._squares(block) if self.method == "distance" else self._per_trial(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
-        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CLOSED) & fit.converged
+        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CONVERGED_CHANGE) & fit.converged
 
-    def _squares(self, block: Block) -> tuple[Floats, Floats]:
-        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
+    def _squares(self, block: TrialBatch) -> tuple[Floats, Floats]:
+        """Parameters (I, p, B) [SI], and largest change (B,) in the last step in prior sigmas."""
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._membership
         recording, trials = self.truth.recording, deviation.shape[2]
@@ -135,12 +139,15 @@ class BatchDistance(Engine):
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             values += step.reshape(values.shape) * prior
             moved = np.abs(step).max(axis=0)
-            if not np.any(moved >= CLOSED):
+            if not np.any(moved >= CONVERGED_CHANGE):
                 break
         return values, moved
 
-    def _per_trial(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
-        """The same for the wanted trials, each by its own matrix; the others have not moved at all (inf)."""
+    def _per_trial(self, block: TrialBatch, wanted: Ints) -> tuple[Floats, Floats]:
+        """Parameters and largest change, as `_squares`, of the wanted trials, each by its own matrix.
+
+        Inf for other trials.
+        """
         prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
         unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {trial: self.truth.recording.readings + block.deviation[:, :, trial] for trial in wanted.tolist()}
@@ -149,7 +156,7 @@ class BatchDistance(Engine):
             for trial, trial_readings in readings.items()
         }
         for iteration in range(CAP if self.absolute else CAP_OF_WEAK):
-            active = wanted[moved[wanted] >= CLOSED]
+            active = wanted[moved[wanted] >= CONVERGED_CHANGE]
             if not len(active):
                 break
             residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
@@ -165,14 +172,14 @@ class BatchDistance(Engine):
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _combinations(self, readings: Floats) -> Floats:
-        """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
+        """Combinations (q, k) of a trial: the axes of its objective that are nearest to the estimated ones."""
         design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
         axes = np.linalg.eigh(design.T @ design)[1]
         nearest = np.argsort(np.linalg.norm(self._determined.T @ axes, axis=0))[len(axes) - self._determined.shape[1] :]
         return axes[:, nearest]
 
-    def _residual(self, block: Block, values: Floats, trials: Ints) -> Floats:
-        """The terms of eq. 9 (R, B) of some trials at their parameters (I, p, B)."""
+    def _residual(self, block: TrialBatch, values: Floats, trials: Ints) -> Floats:
+        """Terms (R, B) of eq. 9 for some trials at their parameters (I, p, B)."""
         deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
         points = np.empty(deviation.shape)
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)
@@ -182,7 +189,7 @@ class BatchDistance(Engine):
         by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
         return rows.residual[:, None] + rows.compare @ change + by_gauge @ certified
 
-    def _adjusted(self, block: Block, values: Floats) -> BatchFit:
+    def _adjusted(self, block: TrialBatch, values: Floats) -> BatchFit:
         deviation = block.deviation
         points = np.empty(deviation.shape)
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)

@@ -1,6 +1,6 @@
-"""Calibrators of blocks of trials: the one that users have, recording after recording, and the batched network.
+"""Calibrators of blocks of trials: the public one, recording by recording, and the batch network.
 
-Where the time of a trial goes (paper's workshop: 420 readings, 130 unknowns, one core): see benchmarks/README.md.
+benchmarks/README.md has the run time of a trial by step (paper's workshop: 420 readings, 130 unknowns, one core).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.schema import CONVERGED, FAILED, FULL, STATUSES
-from ltsim.campaigns.truth import Block, CellTruth
+from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion
@@ -27,37 +27,39 @@ from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, ideal
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.simulator import certified_by
+from ltsim.simulation.simulator import with_certificates
 
-SUSPECT = 0.6e-3
+SUSPECT_M = 0.6e-3
 SUSPECT_FACTOR = 10.0
-"""A pointing this far off [m], and this many times further than the usual one, the full solver may screen out."""
+"""Ratio to the usual deviation, and deviation [m], above which a pointing may be a gross error that only the full
+solver rejects.
+"""
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Calibrated trials of a block."""
+    """Results of the calibration of a block of trials."""
 
     values: Floats
-    """(I, p, B) [SI]."""
+    """Estimated instrument parameters, (I, p, B) [SI]."""
     sigma: Floats
-    """Predicted standard deviations, (I, p) or (I, p, B) [SI]."""
+    """Predicted standard deviations of the parameters, (I, p) or (I, p, B) [SI]."""
     points: Floats
-    """Adjusted targets less true ones, in any frame; NaN where the method gives none, (T, 3, B) [m]."""
+    """Adjusted minus true targets in any frame, (T, 3, B) [m]; NaN for a method without targets."""
     chi2: Floats
-    """(B,)."""
+    """Chi-square of each trial, (B,)."""
     status: Ints
     """Index into `STATUSES`, (B,)."""
     extra: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Parameters of further effects; empty for none, (q, B) [SI]."""
+    """Parameters of additional effects, (q, B) [SI]; empty for none."""
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Standard deviations of these, (q, 1) or (q, B) [SI]."""
+    """Standard deviations of these parameters, (q, 1) or (q, B) [SI]."""
     reflectors: Mapping[str, Floats] = field(default_factory=dict)
-    """Parameters (14, B) [SI] of `smr-incidence` of each reflector whose error is estimated, by its name."""
+    """Parameters (14, B) [SI] of `smr-incidence` of each reflector with an estimated error, by name."""
 
     @property
     def estimates(self) -> tuple[Floats, Floats]:
-        """(I p + q, B) [SI] each: all parameters of a trial, instrument after instrument, and their sigmas."""
+        """All parameters, instrument by instrument and then effects, and their sigmas, each (I p + q, B) [SI]."""
         trials = len(self.chi2)
         sigma = self.sigma if self.sigma.ndim == 3 else self.sigma[:, :, None]
         parts = [(self.values, sigma), (self.extra, self.extra_sigma)]
@@ -67,7 +69,7 @@ class Calibrated:
 
     @classmethod
     def none(cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
-        """Trials without a result, with a sigma per trial."""
+        """Results of trials without a solution."""
         values = np.full((len(truth.recording.instruments), construction.size, trials), np.nan)
         points = np.full((*truth.state.points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
@@ -76,7 +78,7 @@ class Calibrated:
         return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy(), reflectors)
 
     def take(self, trial: int, source: Calibrated, place: int) -> None:
-        """Copy one trial from another batch, with its sigmas where each trial has its own."""
+        """Copy of the result of one trial from another batch, including its sigmas if they differ by trial."""
         per_trial = ("sigma", "extra_sigma") if self.sigma.ndim == 3 else ()
         for name in ("chi2", "status", "values", "points", "extra", *per_trial):
             mine, theirs = getattr(self, name), getattr(source, name)
@@ -96,30 +98,30 @@ class Calibrator:
     construction: Construction
     """Construction whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
-    """Further effects that are estimated."""
+    """Additional effects that are estimated."""
     method: str = "network"
     """Name of the method, as of `spec.Method`."""
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
-        """Calibrate a block; trials that are not wanted may be left out (NaN)."""
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
+        """Calibrated block; trials that are not wanted may be NaN."""
         raise NotImplementedError
 
-    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
-        """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
+    def difference(self, block: TrialBatch, trial: int, calibrated: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the public calibrator; NaN for that calibrator itself."""
         return float("nan")
 
 
-def recording_of(truth: CellTruth, block: Block, trial: int) -> Recording:
-    """Recording of a trial, as any calibrator takes it: readings and declared lengths, no truth."""
+def recording_of(truth: CellTruth, block: TrialBatch, trial: int) -> Recording:
+    """Recording of a trial for any calibrator: readings and declared lengths, without truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
     lengths = ReferenceLengths.of(recording)
-    return certified_by(recording, (lengths.length + block.gauge_error[:, trial]) / lengths.factor)
+    return with_certificates(recording, (lengths.length + block.gauge_error[:, trial]) / lengths.factor)
 
 
 def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
-    """Adjusted targets (T, 3) [m] moved rigidly onto others; NaN for those that the readings do not determine.
+    """Adjusted targets (T, 3) [m] after rigid alignment to others; NaN for undetermined ones.
 
-    Ranges have no hand: of two mirror images the one that fits better counts.
+    Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
     """
     lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(lost[:, None], np.nan, adjustment.state.points)
@@ -130,7 +132,7 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
 
 
 def members(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
-    """Flags (O, T): True where a set saw a target completely; and weight (n,) of each pointing in its set's mean."""
+    """Flags (O, T) of the completely measured targets of each set, and weight (n,) of each pointing in its mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
     whole = np.asarray(recording.measured.all(axis=1) & truth.recorded.all())
     key = sets * targets + recording.target
@@ -139,13 +141,13 @@ def members(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
 
 
 def suspects(deviation: Floats, local: Floats) -> Bools:
-    """(B,) trials with a pointing so far off that the full solver's screening must decide about it.
+    """Flags (B,) of the trials with a pointing so far off that the full solver must decide about it.
 
-    Deviations (n, 3, B) are those of readings to points `local` (n, 3, B), or (n, 3, 1) where all trials share them.
+    `deviation` (n, 3, B) are deviations of readings to points `local`, (n, 3, B) or (n, 3, 1) for common points.
     """
     across = np.hypot(local[:, 0], local[:, 1])
     miss = deviation * np.stack([np.ones_like(across), across, np.sqrt(np.sum(local**2, axis=1))], axis=1)
-    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > SUSPECT
+    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > SUSPECT_M
     for trial in np.flatnonzero(far):
         size = np.linalg.norm(miss[:, :, trial], axis=1)
         far[trial] = size.max() > SUSPECT_FACTOR * np.median(size)
@@ -153,14 +155,14 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
 
 
 @dataclass(frozen=True)
-class Single(Calibrator):
-    """Serial engine: each recording calibrated on its own by `lt.calibrate`."""
+class SerialCalibrator(Calibrator):
+    """Serial calibrator: each recording is calibrated separately by `lt.calibrate`."""
 
     applied: bool = False
-    """Flag: corrections applied to readings replace the estimates; the sigmas stay those of the estimates."""
+    """True if the applied corrections replace the estimates; sigmas remain those of the estimates."""
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
-        """Calibrate the wanted trials of a block."""
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
+        """Calibrated block; only the wanted trials are computed."""
         calibrated = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
         for trial in wanted.tolist():
             try:
@@ -182,7 +184,7 @@ class Single(Calibrator):
         return calibrated
 
     def solved(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
-        """The adjustment of a recording, its instruments' parameters and their standard deviations (I, p) [SI]."""
+        """Adjustment of a recording, and its instruments' parameters with standard deviations, (I, p) [SI] each."""
         if self.applied:
             calibration = calibrate_network(recording, self.construction, advise=False)
             return calibration.adjustment, calibration.applied, calibration.sigma
@@ -196,26 +198,26 @@ class Single(Calibrator):
 
 
 @dataclass(frozen=True)
-class Engine(Calibrator):
-    """Network calibrations of trials that share a geometry, a block at once.
+class BatchCalibrator(Calibrator):
+    """Batch calibrator of trials with a common geometry; trials that do not converge use the public calibrator.
 
-    Trials for which that is not enough go to the calibrator that users have.
+    Trials that need gross-error screening also use the public calibrator.
     """
 
     @cached_property
-    def single(self) -> Single:
-        """The calibrator that users have."""
-        return Single(self.truth, self.construction, self.effects, self.method)
+    def single(self) -> SerialCalibrator:
+        """Public calibrator, for single trials."""
+        return SerialCalibrator(self.truth, self.construction, self.effects, self.method)
 
     @cached_property
     def network(self) -> BatchNetwork:
-        """The factorised network that gives the targets."""
+        """Factorised network from which the targets are computed."""
         truth, built = self.truth, self.construction if self.method == "network" else ideal()
         program, recorded = truth.program_of(built), truth.recorded
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, recorded=recorded)
 
-    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
-        """The block by the batch, and which of its trials (B,) have converged."""
+    def together(self, block: TrialBatch, wanted: Ints) -> tuple[Calibrated, Bools]:
+        """Calibrated block by the batch, and flags (B,) of the converged trials."""
         network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
         extra_columns = slice(network.sizes[2], network.sizes[2] + len(fit.extra))
@@ -223,8 +225,8 @@ class Engine(Calibrator):
         further = fit.extra, extra, fit.reflectors
         return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, *further), fit.converged
 
-    def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
-        """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""
+    def calibrate(self, block: TrialBatch, wanted: Ints | None = None) -> Calibrated:
+        """Calibrated block; `wanted` (default all) are the trials that may use the single calibrator."""
         wanted = np.arange(len(block.trials)) if wanted is None else wanted
         calibrated, good = self.together(block, wanted)
         enough = good & ~suspects(block.deviation, self.truth.sightings.local[:, :, None])
@@ -235,10 +237,11 @@ class Engine(Calibrator):
             calibrated.status[trial] = STATUSES.index(FAILED if per_trial.status[trial] else FULL)
         return calibrated
 
-    def difference(self, block: Block, trial: int, calibrated: Calibrated) -> float:
-        """Largest difference [sigma] of a calibrated trial from the single calibrator's, over parameters and targets.
+    def difference(self, block: TrialBatch, trial: int, calibrated: Calibrated) -> float:
+        """Largest difference [sigma] of parameters and targets of a trial from the single calibrator.
 
-        Targets are compared after a rigid fit, by their standard deviations in that frame. NaN for a failed one.
+        Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed
+        trial.
         """
         other = self.single.calibrate(block, np.array([trial]))
         if other.status[trial] != 0:
@@ -251,7 +254,7 @@ class Engine(Calibrator):
 
     @cached_property
     def sigma_targets(self) -> Floats:
-        """Standard deviation (T, 3) [m] of the adjusted targets after a rigid fit to any others."""
+        """Standard deviation (T, 3) [m] of the adjusted targets after a rigid fit to other coordinates."""
         start, end = self.network.sizes[:2]
         covariance = self.network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)

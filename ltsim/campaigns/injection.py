@@ -1,4 +1,4 @@
-"""Would I see it in my hall? A cause is put into a recording in hand, and the diagnosis is asked."""
+"""Detectability of an effect in a given recording: the effect is injected, and the recording is diagnosed."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
 
 SIZE = "size"
-"""Name of the amplitude of a law in words: rms of its effect on the response term, in the response's unit."""
+"""Name of the amplitude of a law in text form: rms of the change of its response, in the unit of the response."""
 STRENGTHS = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 TRIES = 25
-"""Largest number of draws of the unspecified values until an injection is detectable."""
+"""Largest number of draws of unspecified values until an injection is detectable."""
 MIN_OVERLAP = 0.5
-"""Share of the targets or stations in common from which several are the right ones."""
+"""Smallest fraction of common targets or stations at which a group of them counts as correct."""
 
 
 def inject(
     recording: RecordingSource, *causes: str | Tunable | Sized, noncentrality: float | None = None, seed: int = 0
 ) -> Injection:
-    """Put causes into the readings of a recording through the exact model; nothing else is changed.
+    """Injection of effects into the readings of a recording by the exact model; everything else is unchanged.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def inject(
         raise ModelError(f"noncentrality: found {noncentrality:g}, expected more than 0")
     for cause in causes:
         if isinstance(cause, (list, tuple)):
-            raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")
+            raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
     changed = recording_of(recording)
     injector, injected = Injector(changed, ResidualSpace.of(adjust(changed, declared_construction(changed)))), []
     for number, cause in enumerate(causes):
@@ -125,7 +125,7 @@ def injection_curve(
         As of `inject`.
     """
     if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
-        raise ModelError("a curve needs one injection at least at each strength, and strengths above 0")
+        raise ModelError("a curve needs at least one injection at each strength, and strengths above 0")
     original = recording_of(recording)
     background = diagnose(original)
     rows = []
@@ -142,7 +142,7 @@ def _called(cause: str | Tunable | Sized) -> str:
 
 
 def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
-    """Flags: cause detected, located and identified by the findings beyond those of the background."""
+    """Flags for the findings beyond those of the background: effect detected, located and identified."""
     before = {_key(f) for f in background.findings}
     new = [f for f in diagnosis.findings if _key(f) not in before]
     placed = [f for f in new if _placed(cause.cause, f)]
@@ -163,7 +163,7 @@ def _key(finding: Any) -> tuple[Any, ...]:
 
 
 def _placed(cause: Tunable, finding: Any) -> bool:
-    """Agreement of stations and targets, or of observables for a cause without a place."""
+    """True if stations and targets agree, or the observables for an effect without a place."""
     where = finding.where
     pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_OVERLAP * len(a | b) for a, b in pairs)
@@ -186,7 +186,7 @@ def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[s
 def _sized(
     injector: Injector, cause: str | Tunable | Sized, noncentrality: float | None, rng: np.random.Generator
 ) -> tuple[Tunable, Floats]:
-    """A cause and its values [SI]; where the network hides what was drawn, another place and constants are drawn."""
+    """Effect and its values [SI]; if the network absorbs the drawn ones, other places and constants are drawn."""
     for attempt in range(TRIES):
         drawn, values = _drawn(injector, cause, rng)
         if noncentrality is None:
@@ -200,7 +200,7 @@ def _sized(
 
 
 def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Generator) -> tuple[Tunable, Floats]:
-    """A cause with its place and constants, and values (q,) [SI] of its parameters; what is not said is drawn."""
+    """Effect with its place, constants and parameter values (q,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
         text, sizes = _split(cause)
         asked = requested_effect(text, injector.recording)
@@ -214,13 +214,13 @@ def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Gene
     elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
         candidates = asked.candidates(injector.space.adjustment)
     if not candidates:
-        raise ModelError(f"{effect.name} can act nowhere in this recording")
+        raise ModelError(f"{effect.name} has no place in this recording")
     chosen = candidates[int(rng.integers(len(candidates)))]
     return chosen, _values(chosen, sizes, injector, rng)
 
 
 def _split(text: str) -> tuple[str, dict[str, float]]:
-    """The text without the values of parameters, and these."""
+    """Text of an effect without the values of parameters, and these values."""
     name, _, rest = text.partition(":")
     names = {SIZE} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}

@@ -1,6 +1,6 @@
-"""Quality of a calibration, for a block of trials: the paper's criteria and the error against the truth.
+"""Quality of a calibration for a block of trials: the paper's criteria, and errors relative to the truth.
 
-The same quantities as in `ltsim.adjustment.evaluation`, which judges one recording at a time; tests compare the two.
+The quantities are those of `ltsim.adjustment.evaluation` for single recordings; tests compare the two.
 """
 
 from collections.abc import Sequence
@@ -21,19 +21,22 @@ from ltsim.campaigns.cloud_kernels import (
 from ltsim.campaigns.columns import Columns
 from ltsim.campaigns.engine import Calibrated, members
 from ltsim.campaigns.kernels import points_of
-from ltsim.campaigns.truth import Block, CellTruth
+from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
-from ltsim.geometry.rigid import holds_pose
+from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, ideal
 
-FLAT = 1e-3
-"""Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""
+COLLINEAR_RATIO = 1e-3
+"""Largest ratio of the distance from a line to the spread along it at which targets do not determine a rotation."""
 
 
 @dataclass(frozen=True)
-class Judge:
-    """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
+class TrialEvaluator:
+    """Evaluation of calibrations on the blocks of a truth.
+
+    Quantities that do not depend on the method are computed once per block.
+    """
 
     truth: CellTruth
 
@@ -43,29 +46,33 @@ class Judge:
 
     @property
     def visible(self) -> Bools:
-        """(S, T) which station measured which target whole."""
+        """Flags (S, T) of the targets that each station measured completely."""
         return self._means[0]
 
     @cached_property
     def comparable(self) -> bool:
-        """True when the criteria exist: two stations and more, each sharing targets with the first that fix a frame."""
+        """True if the criteria are defined.
+
+        At least two stations are needed, each with common targets that determine its frame relative to the first.
+        """
         return len(self.visible) > 1 and bool(self._fixed(self.visible & self.visible[0]).all())
 
     @cached_property
     def fitted(self) -> Bools:
-        """(S,) stations whose targets fix a frame, so that they can be compared with the truth."""
+        """Flags (S,) of the stations whose targets determine a frame, so that they can be compared with the truth."""
         return self._fixed(self.visible)
 
     def _fixed(self, use: Bools) -> Bools:
-        """(k,): True for sets of targets (k, T) that fix a frame."""
-        return holds_pose(self._truth(1)[:, :, 0], use, flat=FLAT)
+        """Flags (k,) of the sets of targets (k, T) that determine a frame."""
+        return determines_pose(self._truth(1)[:, :, 0], use, flat=COLLINEAR_RATIO)
 
     def clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
     ) -> Floats:
-        """Means (S, T, 3, B) [m] over faces and repeats of the points that readings describe, in the nominal frame.
+        """Means (S, T, 3, B) [m], over faces and repeats, of the measured points in the nominal frame.
 
-        `deviation` (n, 3, B) is readings less nominal readings, corrected by a construction's `values` (I, p, B).
+        `deviation` (n, 3, B) is readings minus nominal readings; they are corrected by the `values` (I, p, B) of a
+        construction.
         """
         recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
@@ -77,7 +84,7 @@ class Judge:
         return clouds
 
     def criteria(self, clouds: Floats, suffix: str) -> Columns:
-        """Distance and coordinate criterion, mean and maximum [um]."""
+        """Columns of the distance and coordinate criteria, mean and maximum [um]."""
         trials = clouds.shape[3]
         columns = {
             f"{kind}_{suffix}_{which}_um": np.empty(trials)
@@ -94,14 +101,14 @@ class Judge:
         return columns
 
     def _truth(self, trials: int) -> Floats:
-        """True targets (T, 3, B)."""
+        """True targets (T, 3, B) [m]."""
         points = self.truth.state.points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
-        """Rms (B,) [um] of the distance to the truth over stations, each fitted rigidly, and the targets they see.
+        """Rms distance (B,) [um] to the true targets over stations, each fitted rigidly, and their targets.
 
-        A station whose targets fix no frame is left out; NaN where that is every station.
+        Stations whose targets determine no frame are omitted; NaN if no station remains.
         """
         trials = clouds.shape[3]
         truth, total, count = self._truth(trials), np.zeros(trials), 0
@@ -112,9 +119,9 @@ class Judge:
         return MICRO * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
-        """Rms (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth.
+        """Rms error (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth.
 
-        Targets that a trial's readings do not determine (NaN) are left out of it.
+        Undetermined targets (NaN) are omitted.
         """
         determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
@@ -129,8 +136,8 @@ class Judge:
                 error[trials] = MICRO * np.sqrt(total / count)
         return error
 
-    def before(self, block: Block) -> Columns:
-        """Columns that all methods share: criteria and error before, error with the true parameters."""
+    def before(self, block: TrialBatch) -> Columns:
+        """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
         raw = self.clouds(block.deviation)
         perfect = self.clouds(block.deviation, self.truth.construction, block.values)
         columns: Columns = self.criteria(raw, "before") if self.comparable else {}
@@ -139,12 +146,12 @@ class Judge:
         return columns
 
     def after(
-        self, block: Block, estimates: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
+        self, block: TrialBatch, estimates: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
     ) -> Columns:
-        """Columns of a method: criteria and errors after its parameters and the effects that it estimated.
+        """Columns of a method: criteria and errors after correction by its parameters and effects.
 
-        As in `calibrate` and `evaluate`, the estimated incidence errors of reflectors are taken out too; other errors
-        whose size was known beforehand stay in the readings. The true parameters leave all of them there.
+        As in `calibrate` and `evaluate`, the estimated incidence errors of reflectors are corrected too; other nuisance
+        errors with a prior remain in the readings. The true parameters correct none of them.
         """
         deviation = block.deviation
         if estimates.reflectors:

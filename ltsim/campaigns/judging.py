@@ -1,4 +1,4 @@
-"""Calibrations of one recording held against each other by the error of points that none of them has seen."""
+"""Comparison of calibrations of one recording by the error of new points that none of them used."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
-SAME = 1e-6
-"""[m, rad] Below what any noise makes of two recordings."""
+READING_TOLERANCE = 1e-6
+"""Difference [m, rad] below which readings count as equal; noise of two recordings differs by more."""
 JUDGED = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
@@ -29,8 +29,8 @@ JUDGED = Table(
         *texts(calibration="its name"),
         *numbers(
             shown=".1f",
-            error_raw_um="readings as they are",
-            error_calibrated_um="readings corrected by the estimates, or by what is applied of them",
+            error_raw_um="readings without corrections",
+            error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
         *numbers(shown=".3f", share_removed="of the mean square above the floor"),
@@ -40,7 +40,7 @@ JUDGED = Table(
 
 @dataclass(frozen=True, repr=False)
 class Judged(Result):
-    """Errors of new points [m], by the name of the calibration."""
+    """Error of new points [m] by name of the calibration."""
 
     errors: Mapping[str, ShareRemoved]
 
@@ -48,7 +48,7 @@ class Judged(Result):
         first = next(iter(self.errors.values()))
         raw, floor = first.raw / MICROMETRE, first.true_parameters / MICROMETRE
         errors = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
-        return [f"Error of a new point: raw {raw:.1f} um, {errors}; by the true parameters {floor:.1f} um"]
+        return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"new_points": lambda: JUDGED.filled(self._rows())}
@@ -60,8 +60,8 @@ class Judged(Result):
 
 
 def _same_readings(readings: Floats, others: Floats) -> bool:
-    """True where readings [m, rad] differ by the rounding of a file at most, or where some have been left out."""
-    return readings.shape != others.shape or not np.any(np.abs(readings - others) > SAME)
+    """True for readings [m, rad] that differ by file rounding at most, or of which some were removed."""
+    return readings.shape != others.shape or not np.any(np.abs(readings - others) > READING_TOLERANCE)
 
 
 def judge(
@@ -73,11 +73,10 @@ def judge(
     seed: int = 0,
     trial: int = 0,
 ) -> Judged:
-    """Compare calibrations of one simulated recording by points that they were not calibrated on.
+    """Comparison of calibrations of one simulated recording by points that were not used for calibration.
 
-    The same instruments, with the errors that they have in that recording, measure in another place with noise of its
-    own; the estimates of each calibration correct what they read. A campaign with `judge_in` has the same numbers in
-    the trial's row.
+    The same instruments with the same errors measure at another place with independent noise, and each calibration
+    corrects these readings. A campaign with `judge_in` has the same numbers in the row of the trial.
 
     Parameters
     ----------

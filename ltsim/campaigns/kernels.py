@@ -1,9 +1,8 @@
-"""Compiled kernels: the exact kinematic chain and the network's residuals for a block of trials.
+"""Compiled kernels: exact kinematic chain and network residuals for a block of trials.
 
-All arrays end in the trials (B), so that the compiler makes vector instructions of every inner loop. The geometry is
-one number for all trials that share it, or a row (B) like the rest where each trial has its own: kernels are compiled
-for either. Small angles enter by power series (exact to rounding below 0.01 rad).
-Kernels live in one file because the compiler's cache watches only the file of the function it compiles.
+The last index of all arrays is the trial (B), so that every inner loop is vectorised. A geometry value is one number
+for all trials or an array (B); kernels are compiled for both. Small angles use power series (exact to rounding below
+0.01 rad). All kernels are in one file because the compiler's cache depends only on the file of the compiled function.
 """
 
 from pathlib import Path
@@ -14,14 +13,14 @@ from ltsim.campaigns.compiled import at, compiled, inlined
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Floats, Ints
 
-REACHED = 1e-9
-"""[m, rad] Newton's method ends with a step below this: what remains is a factor of 1e-4 smaller."""
+STEP_TOLERANCE = 1e-9
+"""Step [m, rad] of Newton's method below which it ends; the remaining error is smaller by a factor of 1e-4."""
 STEPS = 8
 
 
 @inlined
 def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
-    """Cosine and sine of an angle plus a small one."""
+    """Cosine and sine of the sum of an angle and a small one."""
     square = small * small
     s = small * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
     c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))
@@ -30,7 +29,7 @@ def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
 
 @inlined
 def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A vector turned by a small rotation vector (u, v, w), Rodrigues' formula."""
+    """Vector rotated by a small rotation vector (u, v, w), by Rodrigues' formula."""
     size = u * u + v * v + w * w
     a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
     b = 0.5 - size * (1.0 / 24.0) * (1.0 - size * (1.0 / 30.0))
@@ -44,7 +43,7 @@ def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tupl
 
 @compiled
 def _amounts(i: int, chain: ChainProgram, deviation: Floats, values: Floats, out: Floats) -> None:
-    """Deviation (M, B) of each motion's amount at pointing i for reading deviations (3, B) and values (p, B)."""
+    """Deviation (M, B) of the amount of each motion at pointing i, for reading deviations (3, B) and values (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     trials = out.shape[1]
     for m in range(len(driven)):
@@ -74,8 +73,8 @@ def _amounts(i: int, chain: ChainProgram, deviation: Floats, values: Floats, out
 
 
 @compiled
-def _walk(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
-    """Carry the point from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
+def _forward_chain(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
+    """Point carried from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
     turns, axis, _, _, amount, _, _, _, _, _ = chain
     trials = moved.shape[1]
     last = len(turns)
@@ -104,7 +103,7 @@ def _walk(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
 
 
 @compiled
-def _pull_back(
+def _backpropagate(
     i: int,
     chain: ChainProgram,
     deviation: Floats,
@@ -114,7 +113,7 @@ def _pull_back(
     pull: Floats,
     gradient: Floats,
 ) -> None:
-    """Subtract from gradient (p, B) what a force (3, B) on the point pulls each parameter by (virtual work)."""
+    """Subtraction of the generalised forces of a force (3, B) on the point from the gradient (p, B) (virtual work)."""
     turns, axis, sign, _, amount, first, fed, varies, basis, slope = chain
     trials = moved.shape[1]
     for m in range(len(turns)):
@@ -159,13 +158,13 @@ def points_of(
     values: Floats,
     out: Floats,
 ) -> None:
-    """Points (n, 3, B) [m] in the instruments' frames of reading deviations (n, 3, B) with values (I, p, B)."""
+    """Points (n, 3, B) [m] in the instruments' frames for reading deviations (n, 3, B) and values (I, p, B)."""
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         parameters = values[instrument[i]]
         _amounts(i, chain, deviation[i], parameters, moved)
-        _walk(i, chain, moved, path)
+        _forward_chain(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
                 out[i, c, t] = path[0, c, t]
@@ -180,10 +179,10 @@ def readings_of(
     values: Floats,
     deviation: Floats,
 ) -> None:
-    """Solve for reading deviations (n, 3, B) at which the chain meets points `local` (n, 3), Newton's method.
+    """Reading deviations (n, 3, B) for which the chain reaches the points `local` (n, 3), by Newton's method.
 
-    `deviation` holds the start and receives the result; `by_point` (n, 3, 3) is the ideal derivative, so that
-    each step closes the gap by a factor of the size of the instrument's errors.
+    `deviation` holds the start and receives the result; `by_point` (n, 3, 3) is the ideal derivative, so that each step
+    reduces the residual by a factor of the size of the instrument's errors.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -191,7 +190,7 @@ def readings_of(
         parameters = values[instrument[i]]
         for _ in range(STEPS):
             _amounts(i, chain, deviation[i], parameters, moved)
-            _walk(i, chain, moved, path)
+            _forward_chain(i, chain, moved, path)
             x, y, z = path[0, 0], path[0, 1], path[0, 2]
             largest = 0.0
             for c in range(3):
@@ -204,7 +203,7 @@ def readings_of(
                     )
                     row[t] += step
                     largest = max(largest, abs(step))
-            if not largest > REACHED:
+            if not largest > STEP_TOLERANCE:
                 break
 
 
@@ -220,9 +219,9 @@ def pull_points(
     forces: Floats,
     by_values: Floats,
 ) -> None:
-    """Subtract from by_values (I, p, B) what forces on clouds of means pull each parameter by.
+    """Subtraction of the generalised forces of forces on mean points from by_values (I, p, B).
 
-    A pointing belongs to the mean of its owner (n,) and target (n,) with a share (n,); forces (O, T, 3, B).
+    Each pointing contributes to the mean of its owner (n,) and target (n,) with a weight (n,); forces are (O, T, 3, B).
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -230,11 +229,11 @@ def pull_points(
     for i in range(len(deviation)):
         tracker = instrument[i]
         _amounts(i, chain, deviation[i], values[tracker], moved)
-        _walk(i, chain, moved, path)
+        _forward_chain(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
                 force[c, t] = share[i] * forces[owner[i], target[i], c, t]
-        _pull_back(i, chain, deviation[i], moved, path, force, pull, by_values[tracker])
+        _backpropagate(i, chain, deviation[i], moved, path, force, pull, by_values[tracker])
 
 
 @compiled
@@ -275,16 +274,16 @@ def network_gradient(
     for i in range(len(deviation)):
         parameters, s = values[instrument[i]], station[i]
         _amounts(i, chain, predicted[i], parameters, moved)
-        _walk(i, chain, moved, path)
-        _miss(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
-        _compare(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
-        _pull(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
-        _pull_back(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
+        _forward_chain(i, chain, moved, path)
+        _gap_to_point(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
+        _reading_force(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
+        _add_forces(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
+        _backpropagate(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
 
 
 @compiled
-def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
-    """Arm from station to target in the network frame, and what the reached point misses it by in the instrument's.
+def _gap_to_point(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
+    """Vector from station to target in the network frame, and its difference from the reached point.
 
     They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
     """
@@ -306,7 +305,7 @@ def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: F
 
 
 @compiled
-def _compare(
+def _reading_force(
     by_point: Floats,
     weight: Floats,
     work: Floats,
@@ -316,7 +315,10 @@ def _compare(
     force: Floats,
     cost: Floats,
 ) -> None:
-    """Bring the predicted reading to the target, compare it with the measured one: the force that joins them."""
+    """Prediction of the reading of the target and its comparison with the measured one.
+
+    The result is the force between them.
+    """
     j00, j01, j02 = by_point[0, 0], by_point[0, 1], by_point[0, 2]
     j10, j11, j12 = by_point[1, 0], by_point[1, 1], by_point[1, 2]
     j20, j21, j22 = by_point[2, 0], by_point[2, 1], by_point[2, 2]
@@ -341,8 +343,10 @@ def _compare(
 
 
 @compiled
-def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats) -> None:
-    """Pull target and station together."""
+def _add_forces(
+    rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats
+) -> None:
+    """Addition of the force to the gradients of target and station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -367,6 +371,6 @@ def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: 
 
 
 def compiled_before() -> bool:
-    """True where machine code of these kernels is in this installation's cache."""
+    """True if the machine code of these kernels is in the cache of this installation."""
     place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
     return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

@@ -1,9 +1,9 @@
-"""Network adjustment of all trials that share a geometry: one factorisation, exact residuals, exact gradients.
+"""Network adjustment of all trials with a common geometry: one factorisation, exact residuals and gradients.
 
 The normal matrix N of the nominal network is inverted once. A step is ``inverse @ gradient`` for all trials in one
-matrix product; the gradient is that of the exact residuals at each trial's own state, so the iteration ends where
-the gradient vanishes, at the trial's own optimum, whatever N is: N only sets how fast (a factor of about 1e-3 a
-step, since errors of micrometres in metres hardly change the design).
+matrix product; the gradient is that of the exact residuals at each trial's own state, so that the iteration converges
+to the optimum of the trial for any N: N only determines the speed (a factor of about 1e-3 a step, since errors of
+micrometres in metres hardly change the design).
 
 Residuals are formed where the point that the readings describe meets the target, and carried to the readings by
 the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 sigma in a reading.
@@ -34,50 +34,50 @@ from ltsim.solve.chain import inverse_of
 from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
 
 CAP = 8
-RATE = 1e-3
-"""Smallest assumed share of the distance to the optimum that a step leaves; larger where the steps before show it."""
+MIN_CONVERGENCE_RATE = 1e-3
+"""Smallest assumed ratio of the distances to the optimum after and before a step; larger if previous steps show it."""
 TOLERANCE = 5e-5
 """Largest distance to the optimum of a converged trial, in standard deviations (all unknowns together)."""
 
 
 @dataclass(frozen=True)
 class BatchFit:
-    """Adjusted trials; the last index is the trial."""
+    """Adjusted trials of a batch; the last index is the trial."""
 
     points: Floats
-    """Targets less nominal targets, (T, 3, B) [m]."""
+    """Adjusted minus nominal targets, (T, 3, B) [m]."""
     values: Floats
-    """(I, p, B) [SI]."""
+    """Instrument parameters, (I, p, B) [SI]."""
     extra: Floats
-    """(q, B) [SI]: of the further effects."""
+    """Parameters of additional effects, (q, B) [SI]."""
     reflectors: Mapping[str, Floats]
-    """Parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
+    """Parameters (14, B) [SI] of `smr-incidence` of each reflector, by name."""
     chi2: Floats
-    """(B,)."""
+    """Chi-square of each trial, (B,)."""
     remainder: Floats
     """Distance to the optimum after the last step, in standard deviations, (B,)."""
 
     @property
     def converged(self) -> Bools:
-        """(B,) True where little is left; a NaN is not little."""
+        """Flags (B,) of the converged trials; NaN counts as not converged."""
         return self.remainder < TOLERANCE
 
 
 @dataclass(frozen=True)
-class NetworkKnowns:
-    """Derivatives and model of a reference network, reused by a network of the same set-up."""
+class SharedQuantities:
+    """Derivatives and model of a reference network, reused for another network of the same set-up."""
 
     network: BatchNetwork
     """Batch network of the same set-up and pointings, with other coordinates."""
     by_point: Floats
-    """Derivative of the nominal readings by the local points, (n, 3, 3)."""
+    """Derivative of the nominal readings with respect to the local points, (n, 3, 3)."""
     by_value: Floats
-    """(n, 3, p): by the parameters."""
+    """Derivative of the nominal readings with respect to the parameters, (n, 3, p)."""
 
 
 @dataclass(frozen=True)
 class BatchNetwork:
-    """A network around its nominal state, ready to adjust any number of trials."""
+    """Network about its nominal state, for the adjustment of any number of trials."""
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
@@ -87,15 +87,15 @@ class BatchNetwork:
     program: ChainProgram
     """Kinematic chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
-    """Further effects that are estimated. The errors that the recording states are estimated too (`stated`)."""
-    shared: NetworkKnowns | None = None
-    """Quantities shared by networks of the same set-up, computed if None; not for networks with further effects."""
+    """Additional effects that are estimated, together with the nuisance errors that the recording declares."""
+    shared: SharedQuantities | None = None
+    """Quantities common to networks of the same set-up, computed if None; not used with additional effects."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """(3,): which of range, azimuth and elevation are adjusted."""
+    """Flags (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
     def model(self) -> MeasurementModel:
-        """The forward model that a single adjustment has."""
+        """Forward model, as for a single adjustment."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared is not None:
             vars(model)["nuisances"] = self.shared.network.model.nuisances
@@ -103,14 +103,14 @@ class BatchNetwork:
 
     @cached_property
     def problem(self) -> NetworkProblem:
-        """The problem at the nominal state; the same rows that a single adjustment has."""
+        """Least-squares problem at the nominal state, with the rows of a single adjustment."""
         if self.shared is None:
             return NetworkProblem.of(self.model, use=np.tile(self.recorded, (len(self.recording), 1)))
         return self.shared.network.problem.elsewhere(self.model)
 
     @cached_property
     def nominal(self) -> State:
-        """The nominal state with zero parameters."""
+        """Nominal state with zero parameters."""
         instruments = len(self.recording.instruments)
         return State(
             self.state.position,
@@ -142,23 +142,26 @@ class BatchNetwork:
         return order
 
     @cached_property
-    def _others(self) -> tuple[Floats, Floats]:
-        """Whitened design (r, K) of the rows beyond the readings and their nominal residuals (r, 1)."""
+    def _other_design(self) -> tuple[Floats, Floats]:
+        """Whitened design (r, K) of the rows other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._system
         count = int(self.problem.use.sum())
         return design[count:, self.order], residual[count:, None]
 
     @cached_property
     def _system(self) -> tuple[Floats, Floats]:
-        """Whitened design (m, K) of all rows, its columns in the order of the problem, and their residuals (m,)."""
+        """Whitened design (m, K) of all rows, with columns in the order of the problem, and residuals (m,)."""
         prediction = (
             self.problem.model.linearised(self.nominal) if self.shared is None else self._prediction(self.shared)
         )
         system = self.problem.system(self.nominal, replace(prediction, by_extra=self._extra_design))
         return as_dense(system.design), system.residual
 
-    def _prediction(self, shared: NetworkKnowns) -> Prediction:
-        """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
+    def _prediction(self, shared: SharedQuantities) -> Prediction:
+        """Predicted readings and derivatives at the nominal state, from shared quantities.
+
+        They equal those of `MeasurementModel.linearised`.
+        """
         recording, state = self.recording, self.state
         by_target = shared.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
         arm = state.points[recording.target] - state.position[recording.station]
@@ -167,9 +170,9 @@ class BatchNetwork:
 
     @cached_property
     def root(self) -> tuple[Floats, Floats]:
-        """Lower Cholesky factor (K, K) of the normal matrix of unit columns at the nominal state; their scale (K,).
+        """Lower Cholesky factor (K, K) of the nominal normal matrix with unit columns, and column scales (K,).
 
-        Raises SetupError when the network does not determine its unknowns.
+        Raises SetupError for undetermined unknowns.
         """
         design = self._system[0]
         normal = (design.T @ design).take(self.order, 0).take(self.order, 1)
@@ -183,7 +186,7 @@ class BatchNetwork:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (K, K) [SI] of all unknowns at the nominal state; the datum is the nominal first pose."""
+        """Covariance (K, K) [SI] of all unknowns at the nominal state; the first pose defines the datum."""
         root, scale = self.root
         return inverse_of(root) * np.outer(scale, scale)
 
@@ -196,7 +199,7 @@ class BatchNetwork:
         return roots.reshape(self.problem.unknowns.instrument.shape)
 
     def step(self, gradient: Floats) -> Floats:
-        """The Gauss-Newton step (K, B) down a gradient (K, B)."""
+        """Gauss-Newton step (K, B) for gradients (K, B)."""
         return self.covariance @ gradient
 
     @cached_property
@@ -208,7 +211,7 @@ class BatchNetwork:
 
     @cached_property
     def _by_point(self) -> Floats:
-        """Ideal derivative (n, 3, 3) of the readings by the local point."""
+        """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the local point."""
         return sightings_of(self.recording, self.state).jacobian if self.shared is None else self.shared.by_point
 
     @cached_property
@@ -217,7 +220,7 @@ class BatchNetwork:
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
-        """The pointings on the floor plan, where the full solver lets such a network stand: nests are known there."""
+        """Sightings on the floor plan, the frame of the full solver for such a network, in which nests are known."""
         state = self.nominal
         motion = self._frame.plan_motion(state.position, state.rotation)
         if motion is not None:
@@ -230,21 +233,21 @@ class BatchNetwork:
 
     @cached_property
     def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of the parameters of effects and stated errors."""
+        """Change (n, 3, q) of the readings per unit of the parameters of effects and declared errors."""
         if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._extra_sightings)
 
     @cached_property
     def _expected_shift(self) -> Floats | None:
-        """Change (n, 3, 1) of the readings that bench tests of reflectors let expect; None for none."""
+        """Expected change (n, 3, 1) of the readings by bench tests of reflectors; None for none."""
         if not any(isinstance(error, IncidenceErrors) and error.mean.any() for error in self.model.nuisances):
             return None
         return self.model.extra_shift(self._extra_sightings, self.nominal.extra)[:, :, None]
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviation (n, 3) of the readings; infinite where nothing is measured."""
+        """Standard deviation (n, 3) of the readings; infinite for unmeasured ones."""
         return np.where(self.problem.use, self.problem.sigma, np.inf)
 
     def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -259,7 +262,11 @@ class BatchNetwork:
         )
 
     def fit(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
-        """Adjust trials with readings less nominal readings (n, 3, B) and errors of the known lengths (g, B) [m]."""
+        """Adjusted trials.
+
+        `deviation` (n, 3, B) is readings minus nominal readings, `gauge_error` (g, B) [m] the errors of the reference
+        lengths.
+        """
         if self._expected_shift is not None:
             deviation = deviation - self._expected_shift
         x, predicted = self._linear_start(deviation, gauge_error)
@@ -270,7 +277,7 @@ class BatchNetwork:
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
-            remainder = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
+            remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / before))
             if not np.any(remainder >= TOLERANCE):
                 break
             before = squared
@@ -283,10 +290,12 @@ class BatchNetwork:
         return self.sizes[3] > self.sizes[2]
 
     @cached_property
-    def _felt(self) -> tuple[Ints, Floats, Floats]:
-        """Readings (r,) of all (3 n,) that effects and stated errors change; their design (r, q), plain and whitened.
+    def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
+        """Readings (r,) among all (3 n,) that effects and declared errors change.
 
-        Designs begin with the trial where the state ends in it.
+        Their design (r, q), plain and whitened.
+
+        If states have a last index for the trial, designs have it first.
         """
         flat = self._extra_design.reshape(self.sigma.size, -1)
         rows = np.flatnonzero(flat.any(axis=1))
@@ -294,19 +303,20 @@ class BatchNetwork:
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices from deviations (3 n,) and other rows (r,) to the first step (K,), and on to predicted readings.
+        """Matrices from deviations (3 n,) and other rows (r,) to the first step (K,), and to predicted readings.
 
-        Poses, targets and parameters predict readings; all else is taken off the measured ones.
+        Predicted readings include poses, targets and parameters; all other contributions are subtracted from the
+        measured ones.
         """
         use, design = self.problem.use, np.zeros((3 * len(self.recording), self.sizes[-1]))
         design[use.ravel()] = self._system[0][: int(use.sum()), self.order]  # whitened; zero where nothing is measured
         # A reading that is not measured has no row; its prediction starts at the nominal reading.
         predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.sizes[2]]
         by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
-        return by_reading, self.covariance @ self._others[0].T, predicting
+        return by_reading, self.covariance @ self._other_design[0].T, predicting
 
     def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
-        """The first step, from the nominal state, as a matrix product; the readings it predicts (n, 3, B)."""
+        """First step from the nominal state as a matrix product, and the readings that it predicts, (n, 3, B)."""
         by_reading, by_other, predicting = self._start_matrices
         nowhere = np.zeros((self.sizes[-1], deviation.shape[2]))
         x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._other_rows(nowhere, gauge_error)
@@ -325,7 +335,7 @@ class BatchNetwork:
         gradient[:], cost[:] = 0.0, 0.0
         pose, points, values, extra = self.split(x)
         if self._has_extra:
-            rows, design, whitened = self._felt
+            rows, design, whitened = self._affected_readings
             deviation = deviation.copy()
             deviation.reshape(-1, len(cost))[rows] -= each_times(design, extra)
         by_pose, by_points, by_values, by_extra = self.split(gradient)
@@ -335,15 +345,15 @@ class BatchNetwork:
         if self._has_extra:
             by_extra += each_times(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
         others = self._other_rows(x, gauge_error)
-        gradient += each_times(np.swapaxes(self._others[0], -2, -1), others)
+        gradient += each_times(np.swapaxes(self._other_design[0], -2, -1), others)
         cost += np.sum(others**2, axis=0)
 
     def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
-        """Whitened residuals (r, B) of known lengths, control points, levels, priors and datum.
+        """Whitened residuals (r, B) of reference lengths, control points, levels, priors and datum.
 
-        They are linear, but for the lengths, which are exact.
+        They are linear, except the lengths, which are exact.
         """
-        design, nominal = self._others
+        design, nominal = self._other_design
         rows = nominal - each_times(design, x)
         gauge = self.problem.gauge
         if len(gauge):
@@ -360,7 +370,7 @@ class BatchNetwork:
 
 
 def each_times(matrix: Floats, columns: Floats) -> Floats:
-    """The product with columns (k, B) of one matrix, or of one (B, j, k) for each of them."""
+    """Product of columns (k, B) with one matrix, or with a separate one (B, j, k) for each column."""
     if matrix.ndim == 2:
         return matrix @ columns
     return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

@@ -1,4 +1,4 @@
-"""Shares of all trials together, and differences on common draws: what no single row of a campaign says."""
+"""Ratios over all trials, and differences on common draws, which no single row of a campaign has."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Place = tuple[int, str]
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`.
+    """Paired difference of a statistic: `first` minus `second` method or level on the same draws, trial by trial.
 
-    `settings` are what both have in common; `low` and `high` bound the difference with 95 %.
+    `settings` are common to both; `low` and `high` are the 95 % confidence limits.
     """
 
     settings: Mapping[str, Any]
@@ -40,7 +40,7 @@ class Difference:
 
     @property
     def sentence(self) -> str:
-        """All of it for a person."""
+        """Text of the difference in one sentence."""
         where = "".join(f", {name} {value}" for name, value in self.settings.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
@@ -66,7 +66,7 @@ class Paired(Result):
 def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> Paired:
     """Paired comparison of methods; see `Results.paired`."""
     if len(between) != 1:
-        raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
+        raise ModelError("paired compares two methods, method=(A, B), or two levels of one factor")
     ((along, (first, second)),) = between.items()
     differences = []
     for common, this, other in _pairs(results, along, first, second):
@@ -101,14 +101,14 @@ def _pairs(results: Statistics, along: str, first: Any, second: Any) -> Iterator
 
 
 def _values(results: Statistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
-    """Trials (N,) of a place and what is averaged of each, (1, N), or (2, N) of a share."""
+    """Trials (N,) of a cell and method, and the values to be averaged: (1, N) for a mean, (2, N) for a ratio."""
     terms = terms_of(statistic)
     table = results.of_trials(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")
     return table[0], table[1:]
 
 
 def _linear(terms: Floats) -> tuple[float, Floats]:
-    """A mean of (1, N), or a ratio of means of (2, N), and how far each trial draws it (N,)."""
+    """Mean of (1, N), or ratio of means of (2, N), and the influence (N,) of each trial on it."""
     if len(terms) == 1:
         return float(np.mean(terms)), terms[0]
     ratio = float(terms[0].mean() / terms[1].mean())

@@ -1,9 +1,9 @@
-"""A kinematic chain laid out as arrays for the compiled kernels, around the nominal readings of a network.
+"""Kinematic chain as arrays for the compiled kernels, about the nominal readings of a network.
 
-Every motion's amount is its nominal amount at the nominal reading plus a small deviation, so that no sine of a
-large angle is ever taken again. A parameter's basis is expanded to first order in the reading's deviation; what
-that leaves out is half a second derivative times deviation squared times parameter: 2e-16 rad for deviations and
-parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
+Every motion's amount is its nominal amount at the nominal reading plus a small deviation, so that trigonometric
+functions of large angles are computed only once. A parameter's basis is expanded to first order in the reading's
+deviation; the neglected term is half the second derivative times the squared deviation times the parameter: 2e-16 rad
+for deviations and parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
 """
 
 from typing import NamedTuple, Self
@@ -14,37 +14,37 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.kinematics.chain import Motion, Turn
 from ltsim.physics.model.construction import Construction
 
-PROBE = 1e-4
-"""Step of the central difference that gives a basis' derivative: error 1e-9 of it."""
+DIFFERENCE_STEP = 1e-4
+"""Step of the central difference for the derivative of a basis, with a relative error of 1e-9."""
 
 
 class ChainProgram(NamedTuple):
-    """M motions from the base outwards, n pointings, p parameters, in the order in which the kernels take them."""
+    """Kinematic chain of M motions (base outwards), n pointings and p parameters as arrays for the kernels."""
 
     turns: Ints
-    """(M,): 1 for a rotation, 0 for a translation."""
+    """Kind of each motion, (M,): 1 for a rotation, 0 for a translation."""
     axis: Ints
-    """Coordinate axis 0, 1, 2, (M,)."""
+    """Coordinate axis of each motion (0, 1, 2), (M,)."""
     sign: Floats
-    """(M,)."""
+    """Sign of the reading in each motion, (M,)."""
     driven: Ints
-    """Reading that drives the motion (0 range, 1 azimuth, 2 elevation), -1 for none, (M,)."""
+    """Index of the reading on which the motion depends (0 range, 1 azimuth, 2 elevation), -1 for none, (M,)."""
     amount: Floats
-    """Translation in the first place, or cosine and sine of the rotation, nominal, (M, n, 2)."""
+    """Nominal amount of each motion, (M, n, 2): translation in the first entry, or cosine and sine of the rotation."""
     first: Ints
-    """(M + 1,): parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
+    """Offsets (M + 1,) into `fed`: the parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
     fed: Ints
-    """(f,)."""
+    """Parameters that act on the motions, motion after motion, (f,)."""
     varies: Ints
-    """(p,): 1 where the basis depends on the readings."""
+    """Flags (p,) of the parameters whose basis depends on the readings."""
     basis: Floats
-    """(p, n)."""
+    """Basis of each parameter at the nominal readings, (p, n)."""
     slope: Floats
-    """Derivative of the basis by the readings, (p, n, 3)."""
+    """Derivative of each basis with respect to the readings, (p, n, 3)."""
 
     @classmethod
     def of(cls, construction: Construction, raw: Floats) -> Self:
-        """The program of a construction around raw readings (n, 3); motions that nothing moves are dropped."""
+        """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
         slots = [term.slot for term in construction.terms]
         fed = {m.slot: [k for k, slot in enumerate(slots) if slot == m.slot] for m in construction.chain if m.slot}
         motions = [m for m in construction.chain if m.nominal is not None or fed.get(m.slot)]
@@ -64,7 +64,7 @@ class ChainProgram(NamedTuple):
         )
 
     def spread(self, trials: int) -> Self:
-        """Program with a last index for the trial, from rows that hold all trials of a pointing one after the other."""
+        """Arrays with a last index for the trial, from rows in which all trials of a pointing follow each other."""
 
         def per_trial(rows: Floats) -> Floats:
             by_trial = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
@@ -74,7 +74,10 @@ class ChainProgram(NamedTuple):
 
 
 def _driven(motion: Motion) -> int:
-    """Index of the reading that a motion follows, -1 for none: amounts are a constant, or a reading plus a constant."""
+    """Index of the reading on which a motion depends, -1 for none.
+
+    Amounts are constant, or a reading plus a constant.
+    """
     if motion.nominal is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
@@ -90,8 +93,8 @@ def _nominal(motion: Motion, raw: Floats) -> Floats:
 
 
 def _slopes(construction: Construction, raw: Floats) -> Floats:
-    """Derivative (p, n, 3) of each basis by the readings."""
-    step = PROBE * np.eye(3)[:, None, :]
+    """Derivative (p, n, 3) of each basis with respect to the readings."""
+    step = DIFFERENCE_STEP * np.eye(3)[:, None, :]
     moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
     ahead, behind = construction.bases(moved).T.reshape(construction.size, 2, 3, len(raw)).swapaxes(0, 1)
-    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * PROBE), 1, 2))
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DIFFERENCE_STEP), 1, 2))

@@ -1,8 +1,8 @@
-"""Recovery of injected errors within their declared uncertainty: a check for continuous integration.
+"""Recovery of injected errors within their declared uncertainty, as a check for continuous integration.
 
-Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), has it calibrated, by ltsim or by
-a foreign calibrator, and divides the errors of the estimates by their declared sigmas.
-Which errors the instrument has is one of two modes:
+Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), calibrates it with ltsim or an
+external calibrator, and divides the errors of the estimates by their declared sigmas. There are two modes for the
+errors of the instrument:
 
 * `drawn`: every parameter from its prior. For a correct model and a correct covariance the z-scores are standard
   normal, priors included.
@@ -12,7 +12,7 @@ Which errors the instrument has is one of two modes:
   standard normal too. In addition, the declared intervals have to contain the injected value at least as often as they
   promise.
 
-The prior of a foreign calibrator is unknown: with drawn errors its z-scores have to be standard normal; with stated
+The prior of an external calibrator is unknown: with drawn errors its z-scores have to be standard normal; with stated
 ones their mean has to be 0, their spread at most 1, and its intervals have to contain the truth. A parameter that has
 neither sigmas nor a tolerance is not checked, and a run with such a parameter does not pass unless that is allowed.
 Chi-square, targets and stations are checked of ltsim's calibrator alone.
@@ -31,8 +31,8 @@ from ltsim.campaigns.recovery_trials import (
     PARAMETERS,
     TRIALS,
     FailedTrial,
-    How,
     RecoveredParameter,
+    RecoverySettings,
     RecoveryTolerance,
     RecoveryTrials,
     run_trials,
@@ -41,6 +41,7 @@ from ltsim.campaigns.schema import Errors, Whole
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
+from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import in_unit
 from ltsim.physics.effects.effect import Effect
@@ -51,9 +52,12 @@ from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
-MOST_FAILURES = 3
-"""Trials in which a foreign calibrator may end without a result before the run ends: a command that cannot work
-fails at once, and the check of convergence fails with the first."""
+MAX_FAILURES = 3
+"""Number of trials without a result of an external calibrator after which the run ends: a command that does not work
+fails at once, and the check of convergence fails with the first.
+"""
+MAX_NAMED = 3
+"""Parameters that a sentence names; the table and the file have all."""
 
 
 class Recovery(ResultFile):
@@ -63,32 +67,32 @@ class Recovery(ResultFile):
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
     """Format and version of this file."""
     passed: bool
-    """All checks passed, and no parameter is without one unless that was allowed."""
+    """True if all checks passed and no parameter is unchecked (unless that is permitted)."""
     errors: Errors = "drawn"
     """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
     trials: Whole
     """Number of trials."""
     converged: Whole
-    """Number of trials that gave a result."""
+    """Number of trials with a result."""
     seed: Whole
     """Root of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """Checks of one number each; bounds are shared out so that a correct model fails any in one run of a hundred."""
+    """Checks of one number each; with these bounds a correct model fails any of them in one run of a hundred."""
     parameters: tuple[RecoveredParameter, ...] = ()
     """Errors of each parameter over the trials."""
     unchecked: tuple[str, ...] = ()
-    """Parameters that nothing was checked of: neither a sigma in each trial nor a tolerance."""
+    """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
     allow_unchecked: bool = False
-    """True if the run may pass although some parameters have no check."""
+    """True if the run may pass with unchecked parameters."""
     tolerances: dict[str, str] = Field(default_factory=dict)
-    """Tolerances that were given, by parameter; only these parameters are checked, if there are any."""
+    """Given tolerances by parameter; if there are any, only these parameters are checked."""
     problem: str = ""
-    """Reason of the failure of the last trial without a result."""
+    """Reason of the last failure of a trial."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
 
     @classmethod
     def of(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
-        """The result of the trials."""
+        """Result of the trials."""
         checks, unchecked = tuple(trials.checks()), trials.unchecked()
         made = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
@@ -108,7 +112,7 @@ class Recovery(ResultFile):
 
     @property
     def arrays(self) -> RecoveryTrials:
-        """The trials as arrays; raises ModelError for a result that was read from a file."""
+        """Arrays of the trials; raises ModelError for a result that was read from a file."""
         if self._arrays is None:
             raise ModelError("a recovery read from a file has no trials; trials.csv in its folder has them")
         return self._arrays
@@ -131,8 +135,8 @@ class Recovery(ResultFile):
         return [check for check in self.checks if not check.passed]
 
     def verdict(self) -> str:
-        """The result in a few words."""
-        within = "the given tolerances" if self.tolerances else "its stated uncertainty"
+        """Text of the result in a few words."""
+        within = "the given tolerances" if self.tolerances else "its declared uncertainty"
         if self.failures():
             return "the check fails"
         if not self.unchecked:
@@ -143,14 +147,15 @@ class Recovery(ResultFile):
         return f"{checked} of {count} parameters are recovered within {within}, the others are not checked"
 
     def problems(self) -> list[str]:
-        """Sentences about all that keeps the run from passing, and about parameters that are not checked."""
+        """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
         sentences = [check.sentence() for check in self.failures()]
         if self.problem and self.converged < self.trials:
             sentences.insert(0, self.problem)
         if unchecked := self.unchecked:
             example = f"{option('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
+            several = f"{len(unchecked)} of {len(self.parameters)} parameters ({listing(unchecked, MAX_NAMED)}) are"
             sentences.append(
-                f"{', '.join(unchecked)} {'is' if len(unchecked) == 1 else 'are'} not checked: the calibrator does "
+                f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
                 f"not declare the standard deviation in every trial; let it declare one, or give a tolerance such as "
                 f"{example}, or {option('allow_unchecked=True')}"
             )
@@ -172,7 +177,7 @@ def recover(
     jobs: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
 ) -> Recovery:
-    """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
+    """Recovery check: simulation of an instrument with errors, calibration, and comparison with the truth, many times.
 
     Parameters
     ----------
@@ -230,7 +235,7 @@ def recover(
     example = simulate(scenario, seed=seed).recording if named else None
     extra_effects = tuple(requested_effect(text, example) for text in named if example is not None)
     built = true_construction if construction is None else construction_called(construction)
-    how = How(method, built, extra_effects, calibrator, mode)
+    how = RecoverySettings(method, built, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""
     failed = 0
     with closing(run_trials(scenario, trials, how, seed=seed, jobs=jobs)) as outcomes:
@@ -242,7 +247,7 @@ def recover(
                 _check_same_parameters(outcome, done)
             done.append(None if isinstance(outcome, FailedTrial) else outcome)
             progress(1)
-            if failed == MOST_FAILURES:
+            if failed == MAX_FAILURES:
                 problem = f"the run ended after {failed} failures of the calibrator: {problem}"
                 break
     made = RecoveryTrials(tuple(done), mode, within, time.monotonic() - began, problem)
@@ -250,7 +255,7 @@ def recover(
 
 
 def _check_same_parameters(trial: Trial, before: Sequence[Trial | None]) -> None:
-    """Raise RecordError for a trial with other parameters than the first with a result."""
+    """Check that a trial has the parameters of the first trial with a result; raises RecordError."""
     first = next((other for other in before if other is not None), trial)
     if trial.names != first.names:
         differing = sorted({*trial.names} ^ {*first.names})[0]
@@ -258,11 +263,14 @@ def _check_same_parameters(trial: Trial, before: Sequence[Trial | None]) -> None
 
 
 def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTolerance]:
-    """Tolerances such as ``2 urad`` in the units of a trial's parameters; raises SetupError for another kind."""
+    """Tolerances such as ``2 urad`` in the units of a trial's parameters.
+
+    Raises SetupError for another kind of unit.
+    """
     given = {}
     for name, words in tolerance.items():
         if name not in trial.names:
-            raise SetupError(f"the tolerance of '{name}' is of none of the parameters {', '.join(trial.names)}")
+            raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.names)}")
         unit = trial.units[trial.names.index(name)]
         value = in_unit(words, unit)
         if value is None or not value > 0:
@@ -272,5 +280,5 @@ def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTol
 
 
 def errors_of(scenario: Scenario) -> Errors:
-    """The mode that a scenario suggests: `stated` where it states an error of an instrument."""
+    """Mode that a scenario suggests: `stated` if it declares an error of an instrument."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers.values()) else "drawn"

@@ -1,8 +1,8 @@
-"""Checks of a recovery: estimates with their declared sigmas against the truth, over many trials.
+"""Checks of a recovery over many trials: estimates with their declared sigmas, compared with the truth.
 
-Mean, standard deviation and coverage of the z-scores are checked on both sides. Tolerances are those of the
-specification (mean within 0.1, standard deviation within 5 %, coverage within 1.5 %), or those of chance where few
-trials make chance wider: a correct model fails any of them in one run of a hundred.
+Mean, standard deviation and coverage of the z-scores have two-sided limits. The limits are those of the specification
+(mean within 0.1, standard deviation within 5 %, coverage within 1.5 %), or wider ones for few trials, so that a correct
+model fails any check in one run of a hundred.
 """
 
 import math
@@ -18,21 +18,21 @@ from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 FALSE_ALARM = 0.01
-"""Chance that a correct model fails any of the checks."""
+"""Probability that a correct model fails any of the checks."""
 COVERED = 0.95
-FEWEST = 2
-"""Trials that a standard deviation needs."""
+MIN_TRIALS = 2
+"""Smallest number of trials for a standard deviation."""
 MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
 MAX_RELATIVE_SPREAD = float(np.sqrt(2.0))
-"""Standard deviation of a mean square over its mean where all that it averages is one number."""
+"""Largest ratio of the standard deviation of a mean square to its mean, reached if all averaged values are equal."""
 
 
 class RecoveryCheck(Entry):
     """Check that a number lies between two bounds."""
 
     what: str
-    """Subject of the check: a parameter, or chi-square, targets, stations."""
+    """Subject of the check: a parameter, chi-square, targets or stations."""
     statistic: str
     """Name of the number that is checked, such as the mean z-score."""
     value: OptionalFloat
@@ -42,20 +42,20 @@ class RecoveryCheck(Entry):
     high: Finite
     """Upper bound of the number."""
     passed: bool
-    """True where the number lies between the bounds."""
+    """True if the number lies between the bounds."""
 
     @classmethod
     def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
-        """The check of a number; NaN fails."""
+        """Check of a number; NaN fails."""
         passed = bool(low <= value <= high)
         return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
 
     def within(self, low: float, high: float) -> Self:
-        """The check of the same number with other limits."""
+        """Check of the same number with other limits."""
         return self.of(self.what, self.statistic, math.nan if self.value is None else self.value, low, high)
 
     def sentence(self) -> str:
-        """The value and its limits, as a sentence."""
+        """Sentence with the value and its limits."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
         return f"{self.what} {verdict}: {self.statistic} = {value} (allowed {self.low:.4g} to {self.high:.4g})"
 
@@ -72,7 +72,7 @@ def recovery_checks(
     tolerance: Mapping[str, float] | None = None,
     false_alarm: float = FALSE_ALARM,
 ) -> list[RecoveryCheck]:
-    """Check that what is true is recovered: within stated sigmas, within given tolerances, or both.
+    """Checks that true values are recovered within declared sigmas, within given tolerances, or both.
 
     Parameters
     ----------
@@ -110,14 +110,16 @@ def recovery_checks(
     called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
     if estimate.shape != truth.shape or len(called) != estimate.shape[1]:
         raise ModelError(f"estimates are {estimate.shape}, truths {truth.shape}, names {len(called)}: give one of each")
-    if len(estimate) < FEWEST:
-        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {FEWEST} or more")
+    if len(estimate) < MIN_TRIALS:
+        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
     if sigma is None and not tolerance:
-        raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give either")
+        raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give one of them")
     if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:
-        raise ModelError(f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give a sigma of each")
+        raise ModelError(
+            f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give one sigma per value"
+        )
     if unknown := [name for name in tolerance or () if name not in called]:
-        raise ModelError(f"the tolerance of '{unknown[0]}' is of none of {', '.join(called)}")
+        raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(called)}")
     chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
     checks = []
     for k in chosen:
@@ -130,13 +132,13 @@ def recovery_checks(
 
 
 def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> RecoveryCheck:
-    """Check that 95 % of errors (N,) lie within a tolerance."""
+    """Check that 95 % of the errors (N,) lie within a tolerance."""
     share = float(np.mean(np.abs(error) <= tolerance))
     return RecoveryCheck.of(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
 
 
 def parameter_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
-    """Mean, standard deviation and coverage of z-scores (N,); `level` is the false-alarm rate of each."""
+    """Checks of mean, standard deviation and coverage of z-scores (N,); `level` is the false-alarm rate of each."""
     count = len(z)
     shift = max(MEAN_WITHIN, float(stats.norm.isf(level / 2) / np.sqrt(count)))
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], count - 1) / (count - 1)
@@ -152,16 +154,17 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
 
 
 def fixed_truth_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
-    """Mean, standard deviation and coverage of z-scores (N,) of a fixed truth, by a calibrator whose prior is unknown.
+    """Checks of z-scores (N,) for a fixed truth and a calibrator with unknown prior.
 
-    Such a prior may make sigmas larger than the scatter, never smaller: spread and coverage have one limit each.
+    A prior may make sigmas larger than the scatter, but never smaller: standard deviation and coverage therefore have
+    one limit each, and the mean has two.
     """
     mean, spread, coverage = parameter_checks(name, z, level)
     return [mean, spread.within(0.0, spread.high), coverage.within(coverage.low, 1.0)]
 
 
 def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: float) -> RecoveryCheck:
-    """Chi-square of all trials together over what is to be expected of it, as a scaled chi-square (Satterthwaite)."""
+    """Check of the total chi-square relative to its expectation, as a scaled chi-square (Satterthwaite)."""
     mean, variance = float(np.sum(expected)), float(np.sum(spread**2))
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
@@ -170,10 +173,10 @@ def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: floa
 
 
 def mean_check(what: str, statistic: str, values: Floats, level: float) -> RecoveryCheck:
-    """The mean of values (N,), one a trial, against one.
+    """Check that the mean of values (N,), one per trial, is one.
 
-    Chance is judged by their spread relative to their median (median absolute deviation): values that are all too
-    large, or a few that are far off, do not make their own limits wider.
+    The limits follow from the median absolute deviation relative to the median, so that values that are all too large,
+    or a few outliers, do not widen their own limits.
     """
     middle = float(np.median(values))
     deviation = float(np.median(np.abs(values - middle)))

@@ -1,4 +1,4 @@
-"""Trials of a recovery check: a recording simulated, calibrated by ltsim or by a foreign calibrator, and scored."""
+"""Trials of a recovery check: a simulated recording, its calibration by ltsim or an external calibrator, and scores."""
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
-    FEWEST,
+    MIN_TRIALS,
     RecoveryCheck,
     chi_square_check,
     fixed_truth_checks,
@@ -39,63 +39,63 @@ from ltsim.simulation.simulator import measure, place_key
 
 
 class RecoveryTolerance(NamedTuple):
-    """Largest permitted error: in the parameter's unit, and as it was given."""
+    """Largest permitted error in the parameter's unit, and its text."""
 
     value: float
     words: str
 
 
 class RecoveredParameter(Entry):
-    """Errors of one parameter over the trials, in its unit; statistics are null with fewer than two trials."""
+    """Errors of one parameter over the trials, in its unit; statistics are null for fewer than two trials."""
 
     parameter: str
-    """Name of the parameter; of an effect EFFECT:PARAMETER and its place."""
+    """Name of the parameter; for an effect EFFECT:PARAMETER and its place."""
     unit: str
     """Unit of the errors."""
     rms_error: OptionalFloat = None
     """Root mean square error."""
     mean_z: OptionalFloat = None
-    """Mean of the errors over their declared sigmas."""
+    """Mean of the errors divided by their declared sigmas."""
     deviation_z: OptionalFloat = None
-    """Standard deviation of the errors over their declared sigmas."""
+    """Standard deviation of the errors divided by their declared sigmas."""
     coverage_95: OptionalFloat = None
-    """Share of the trials whose 95 % interval contains the truth."""
+    """Fraction of the trials whose 95 % interval contains the truth."""
     ltsim_rms_error: OptionalFloat = None
-    """Root mean square error of ltsim in the same recordings, where another calibrator is checked."""
+    """Root mean square error of ltsim in the same recordings, if another calibrator is checked."""
     larger_than_ltsim: OptionalFloat = None
-    """Mean of the absolute errors less those of ltsim in the same recordings."""
+    """Mean of the absolute errors minus those of ltsim in the same recordings."""
     larger_low: OptionalFloat = None
-    """Lower 95 % bound of that mean."""
+    """Lower 95 % confidence limit of that mean."""
     larger_high: OptionalFloat = None
-    """Upper 95 % bound of that mean."""
+    """Upper 95 % confidence limit of that mean."""
 
 
 PARAMETERS = Table("parameters.csv", "errors of each parameter over the trials", columns_of(RecoveredParameter))
 TRIALS = Table(
     "trials.csv",
-    "what was found in each trial that gave a result, one row a trial and parameter",
+    "estimates of the trials with a result, one row per trial and parameter",
     (
         *numbers(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
         *texts(parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"),
-        *numbers("r", truth="true value", estimate="what the calibrator found", sigma="that it states"),
+        *numbers("r", truth="true value", estimate="estimate of the calibrator", sigma="that it states"),
         *numbers(".6g", z="(estimate - truth) / sigma"),
-        *numbers("r", ltsim_estimate="what ltsim found in the same recording, where another calibrator is checked"),
+        *numbers("r", ltsim_estimate="estimate of ltsim from the same recording, where another calibrator is checked"),
     ),
 )
 
 
 class FailedTrial(NamedTuple):
-    """A trial without a result."""
+    """Trial without a result."""
 
     reason: str
     """Reason of the failure, as a sentence."""
     foreign: bool
-    """True for a failure of a foreign calibrator."""
+    """True for a failure of an external calibrator."""
 
 
 @dataclass(frozen=True)
-class How:
-    """Calibration of a recording: ltsim's method, or in addition a calibrator of the user."""
+class RecoverySettings:
+    """Calibration settings of a recovery check: ltsim's method, and optionally a calibrator of the user."""
 
     method: str = "network"
     construction: Construction | None = None
@@ -106,11 +106,11 @@ class How:
 
 
 def run_trials(
-    scenario: Scenario, trials: int, how: How, *, seed: int = 0, jobs: int = 1
+    scenario: Scenario, trials: int, how: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[Trial | FailedTrial, None, None]:
-    """Run the trials one by one, in order; the same for any number of jobs.
+    """Trials in order, one by one; they are identical for any number of processes.
 
-    Raises SetupError when the calibrator's parameters are not among those that are drawn.
+    Raises SetupError for a parameter of the calibrator that is not drawn.
     """
     made = from_prior(scenario) if how.errors == "drawn" else scenario
     work = ((made, seed, index, how) for index in range(trials))
@@ -118,7 +118,7 @@ def run_trials(
 
 
 def from_prior(scenario: Scenario) -> Scenario:
-    """The scenario with instruments whose errors are drawn from the priors that the calibrator will use."""
+    """Scenario whose instruments have errors drawn from the priors that the calibrator will use."""
     drawn = {"errors": {"draw": True}, "error_factor": 1.0}
     named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
@@ -126,8 +126,8 @@ def from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | FailedTrial:
-    """Result of a trial: simulated, calibrated and compared with the truth."""
+def run_trial(scenario: Scenario, seed: int, index: int, how: RecoverySettings) -> Trial | FailedTrial:
+    """Result of a trial: simulation, calibration and comparison with the truth."""
     work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
     recording, truth = measure(work, seed, index)
     law = instrument_law(work.scenario, work.construction)
@@ -149,8 +149,8 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | Fa
     return score_estimates(estimates, truth, how.errors, reference)
 
 
-def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:
-    """Calibrate by one of ltsim's methods."""
+def calibrated(recording: Recording, how: RecoverySettings, construction: Construction) -> Calibration:
+    """Calibration by one of ltsim's methods."""
     if how.method == "network":
         return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
     return calibrate_distance(recording, construction, method=how.method, advise=False)
@@ -165,9 +165,9 @@ class RecoveryTrials(ValueEquality):
     tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by parameter; only these parameters are checked, if there are any."""
     seconds: float = 0.0
-    """Duration of the trials [s]."""
+    """Run time of the trials [s]."""
     problem: str = ""
-    """Reason of the failure of the last trial without a result."""
+    """Reason of the last failure of a trial."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ class RecoveryTrials(ValueEquality):
 
     @property
     def converged(self) -> list[Trial]:
-        """Trials that gave a result."""
+        """Trials with a result."""
         return [trial for trial in self.trials if trial is not None]
 
     def _stacked(self, what: str) -> Floats:
@@ -184,7 +184,7 @@ class RecoveryTrials(ValueEquality):
 
     @property
     def z(self) -> Floats:
-        """(N, p) errors of the parameters over their stated sigmas."""
+        """Errors of the parameters divided by their declared sigmas, (N, p)."""
         return self._stacked("z")
 
     def unchecked(self) -> tuple[str, ...]:
@@ -206,9 +206,9 @@ class RecoveryTrials(ValueEquality):
         ]  # fmt: skip
 
     def parameters(self) -> tuple[RecoveredParameter, ...]:
-        """Statistics of each parameter's errors, with those of ltsim's calibrator where a foreign one is checked."""
+        """Statistics of each parameter's errors, with those of ltsim's calibrator if an external one is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.converged) >= FEWEST:
+        if len(self.converged) >= MIN_TRIALS:
             error, z = self._stacked("estimate") - self._stacked("truth"), self.z
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
@@ -224,9 +224,12 @@ class RecoveryTrials(ValueEquality):
         )
 
     def _against_ltsim(self, error: Floats) -> dict[str, Sequence[float]]:
-        """Columns on ltsim's estimates of the same recordings, `error` (N, p) being those of the calibrator."""
+        """Columns with ltsim's estimates of the same recordings.
+
+        `error` (N, p) are the errors of the checked calibrator.
+        """
         both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
-        if len(both) < FEWEST:
+        if len(both) < MIN_TRIALS:
             return {}
         reference = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
         gap, count = np.abs(error[both]) - np.abs(reference), len(both)
@@ -239,10 +242,10 @@ class RecoveryTrials(ValueEquality):
         }
 
     def checks(self) -> list[RecoveryCheck]:
-        """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
+        """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
         lost = len(self.trials) - len(self.converged)
         checks = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
-        if len(self.converged) < FEWEST:
+        if len(self.converged) < MIN_TRIALS:
             return checks
         chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
         level = FALSE_ALARM / (4 * len(chosen) + 3)
@@ -250,7 +253,7 @@ class RecoveryTrials(ValueEquality):
         return checks if self.tolerance else checks + self._whole(level)
 
     def _of_parameter(self, k: int, level: float) -> list[RecoveryCheck]:
-        """Checks of a parameter; z-scores are checked where every trial has one."""
+        """Checks of a parameter; its z-scores are checked if every trial has one."""
         name, standard, z = self.names[k], self._stacked("standard")[:, k], self.z[:, k]
         foreign, checks = self.converged[0].foreign, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):

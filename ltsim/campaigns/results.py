@@ -1,4 +1,4 @@
-"""The results of a campaign: its statistics, differences on common draws, pictures, axes."""
+"""Results of a campaign: statistics, differences on common draws, figures, arrays."""
 
 from __future__ import annotations
 
@@ -23,15 +23,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CALIBRATOR = "calibrator"
-"""Axis of the methods: `method` is an argument of `sel` already."""
+"""Name of the axis of methods in an xarray dataset, where `method` is already an argument of `sel`."""
 RESAMPLES = 400
-"""Resamples of a bootstrap interval: its ends then have a sampling error of about a tenth of its width."""
+"""Number of resamples of a bootstrap interval, whose limits then have a sampling error of about a
+tenth of its width.
+"""
 ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
-"""Names that an axis of a factor cannot have; it has an underscore behind then."""
+"""Names that an axis of a factor cannot have; an underscore is then appended."""
 
 
 class Results(Statistics, Result):
-    """Results of a campaign: the statistics of its rows, their paired differences, pictures and arrays."""
+    """Results of a campaign: statistics of its rows, paired differences, figures and arrays."""
 
     def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
         return Results, (self.folder.resolve(),)
@@ -97,7 +99,7 @@ class Results(Statistics, Result):
         return spreads
 
     def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:
-        """Means of a statistic along a factor, a line a method, with 95 % intervals and the middle 90 % of the trials.
+        """Figure of the means of a statistic along a factor, with 95 % intervals and the middle 90 % of the trials.
 
         Parameters
         ----------
@@ -119,7 +121,7 @@ class Results(Statistics, Result):
         return figure
 
     def to_xarray(self, *statistics: str) -> xr.Dataset:
-        """Means over the trials with their 95 % intervals, on axes that `sel` takes.
+        """Means over the trials with 95 % confidence intervals, as an xarray dataset.
 
         Parameters
         ----------
@@ -159,9 +161,9 @@ class Results(Statistics, Result):
         return Dataset(variables, {CALIBRATOR: methods} | axes | along, title)
 
     def _axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
-        """Axes with their values, where each cell is on them, and what else is known along them.
+        """Axes with their values, position of each cell on them, and other quantities along them.
 
-        Factors of a full grid are axes; other cells are one axis, the factors' values along it.
+        Factors of a full grid are axes; other cells are on one axis with the values of the factors.
         """
         levels, named = self.levels, [(f"{f.name}_" if f.name in ARGUMENTS else f.name, f) for f in self.factors]
         axes = {name: [level[f.name] for level in levels] for name, f in named}
@@ -175,7 +177,7 @@ class Results(Statistics, Result):
 
 
 def _number_of(function: Callable[..., float], values: Floats) -> float:
-    """Value of a function of the columns (k, n); raises ModelError where it is no number."""
+    """Value of a function of the columns (k, n); raises ModelError if it is not a number."""
     result = np.asarray(function(*values))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
@@ -183,6 +185,6 @@ def _number_of(function: Callable[..., float], values: Floats) -> float:
 
 
 def _in_order(values: Iterable[Any]) -> list[Any]:
-    """Numbers rising, so that an axis can be sliced however the sweep has grown; words as the file has them."""
+    """Sorted numbers, so that an axis can be sliced; texts keep the order of the file."""
     listed = list(values)
     return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed

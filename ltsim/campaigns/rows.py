@@ -1,4 +1,4 @@
-"""The rows of a shard: trials drawn, calibrated by every method on the same draws, judged."""
+"""Rows of a shard: trials are drawn, calibrated by every method on the same draws, and evaluated."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -21,31 +21,31 @@ from ltsim.campaigns.calibrators import (
 from ltsim.campaigns.columns import Columns, labels_of, parameter_columns, rows_of_method, with_settings, z_scores
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import Calibrated, Calibrator
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.schema import CHECKED, FAILED, STATUSES, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.store import encoded, statistics_of
-from ltsim.campaigns.truth import Block, CellTruth, truth_of
+from ltsim.campaigns.truth import CellTruth, TrialBatch, truth_of
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import BLOCK
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect
-from ltsim.simulation.draws import Normal
+from ltsim.simulation.draws import NormalSource
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import place_key
 from ltsim.simulation.workshop import Layout, planned
 
-JUDGED = {"criteria", "errors"}
-"""Statistics that take corrected readings."""
-TOGETHER = 64
-"""Trials per batch where each has a separate geometry and the same sights."""
+CORRECTED_STATISTICS = {"criteria", "errors"}
+"""Statistics that need corrected readings."""
+TRIALS_PER_STACK = 64
+"""Number of trials per batch if each has a separate geometry with the same sightings."""
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Shard of a cell, as a task for any worker."""
+    """Shard of a cell as a task for any worker."""
 
     campaign: Campaign
     scenario: Scenario
@@ -54,11 +54,11 @@ class ShardTask:
     cell: int
     shard: int
     judge: Scenario | None = None
-    """Scenario of `judge_in`, where methods are judged; None without one."""
+    """Scenario of `judge_in`, in which methods are evaluated; None without one."""
     effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.of_session)
-    """Classes of the session, which a worker does not know."""
+    """Effect classes that were registered in this session, which a worker does not have."""
     held: pa.Table | None = None
-    """Rows of the shard that stay, where it lacks trials, or statistics."""
+    """Existing rows of the shard, if it lacks trials or statistics."""
 
     @property
     def key(self) -> dict[str, str]:
@@ -68,23 +68,26 @@ class ShardTask:
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A cell ready to work: everything its trials share."""
+class CellContext:
+    """Cell with everything that its trials share."""
 
     campaign: Campaign
     scenario: Scenario
     judge: Scenario | None = None
 
     @cached_property
-    def shared(self) -> tuple[Judge, list[Calibrator]]:
-        """The geometry that all trials share, with the calibrators in the order of the file's methods."""
+    def shared(self) -> tuple[TrialEvaluator, list[Calibrator]]:
+        """Common geometry of all trials, with the calibrators in the order of the file's methods."""
         truth = truth_of(self.scenario, self.campaign.seed)
-        return Judge(truth), [calibrator_of(method, truth) for method in self.campaign.methods]
+        return TrialEvaluator(truth), [calibrator_of(method, truth) for method in self.campaign.methods]
 
     @cached_property
-    def elsewhere(self) -> Judge | None:
-        """The place of `judge_in`, where the same instruments measure what no calibration used."""
-        return None if self.judge is None else Judge(truth_of(self.judge, self.campaign.seed, JUDGE))
+    def elsewhere(self) -> TrialEvaluator | None:
+        """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
+
+        It is None without one.
+        """
+        return None if self.judge is None else TrialEvaluator(truth_of(self.judge, self.campaign.seed, JUDGE))
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
@@ -110,10 +113,10 @@ class Prepared:
     def _plan(self) -> Layout:
         return planned(self.scenario)
 
-    def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
-        """Blocks that hold the trials ``first`` to ``last - 1``, with their geometry's judge and calibrators.
+    def blocks(self, first: int, last: int) -> Iterator[tuple[TrialEvaluator, Sequence[Calibrator], TrialBatch]]:
+        """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
 
-        A trial whose own geometry is impossible, a station that sees nothing, is in none.
+        Trials with an impossible geometry, such as a station without visible targets, are in no block.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
@@ -121,12 +124,16 @@ class Prepared:
             for number in range(first // BLOCK, -(-last // BLOCK)):
                 yield judge, calibrators, judge.truth.draw(seed, number)
             return
-        for low in range(first, last, TOGETHER):
-            for stack, numbers in stacks(self._geometries(range(low, min(low + TOGETHER, last)))):
-                yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
+        for low in range(first, last, TRIALS_PER_STACK):
+            for stack, numbers in stacks(self._geometries(range(low, min(low + TRIALS_PER_STACK, last)))):
+                yield (
+                    TrialEvaluator(stack),
+                    [StackCalibrator.of(m, stack) for m in methods],
+                    stack.draw_trials(seed, numbers),
+                )
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
-        """The geometry of each trial that has a possible one; they share the set-up with the common one."""
+        """True geometry of each trial that has a possible one; they share the set-up with the common one."""
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
@@ -136,14 +143,14 @@ class Prepared:
 
 
 @lru_cache(maxsize=4)
-def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
-    """The prepared cell of a task, all as JSON; kept, since a worker sees many shards of the same cell."""
+def cell_context(campaign: str, scenario: str, judge: str) -> CellContext:
+    """Cell of a task, from JSON texts; it is cached, because a worker computes many shards of the same cell."""
     there = Scenario.model_validate_json(judge) if judge else None
-    return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
+    return CellContext(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
 def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """A shard as the bytes of its file, with its task; one thread, so that sums keep their order on any worker."""
+    """Task and the bytes of its shard's file; computed with one thread, so that sums keep their order on any worker."""
     for kind in task.effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
@@ -171,9 +178,9 @@ def shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
-    """The rows of a shard behind so many of its trials; without a calibration where only what was `drawn` is asked."""
+    """New rows of a shard after the existing trials; with `drawn` only the true values, without a calibration."""
     campaign, given = task.campaign, (task.campaign, task.scenario, task.judge)
-    cell = prepared(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
+    cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
     start = task.shard * campaign.shard
     first, last = start + done, min(start + campaign.shard, campaign.trials)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
@@ -201,44 +208,47 @@ def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
 
 @dataclass(frozen=True)
 class TrialBlock:
-    """A block that every method calibrates."""
+    """Block that every method calibrates."""
 
     campaign: Campaign
-    judge: Judge
-    block: Block
-    elsewhere: Judge | None
+    judge: TrialEvaluator
+    block: TrialBatch
+    elsewhere: TrialEvaluator | None
     wanted: Ints
     checked: Ints
-    """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
+    """Indices in the block of the trials whose rows are wanted, and of those that the full solver repeats."""
     drawn: bool = False
     """True if rows contain the drawn truth only, without a calibration."""
 
     @cached_property
     def shared(self) -> Columns:
-        """Columns that all methods share."""
+        """Columns common to all methods."""
         return self.judge.before(self.block)
 
     @cached_property
-    def new_points(self) -> tuple[Judge, Block, Columns] | None:
-        """Held-out points of the same instruments: independent noise, the same sizes of effects that act there too."""
+    def new_points(self) -> tuple[TrialEvaluator, TrialBatch, Columns] | None:
+        """Held-out points measured by the same instruments, with independent noise and equal sizes of effects.
+
+        It is None without `judge_in`.
+        """
         if self.elsewhere is None:
             return None
-        there = Normal(self.campaign.seed, self.block.trials)
+        there = NormalSource(self.campaign.seed, self.block.trials)
         block = self.elsewhere.truth.drawn(there, self._drifted(), stream_key=JUDGE)
         return self.elsewhere, block, self.elsewhere.before(block)
 
     def _drifted(self) -> Floats:
-        """The instruments' errors (I, p, B) [SI] when they are judged."""
+        """Errors of the instruments (I, p, B) [SI] at the time of evaluation."""
         values, share = self.block.values, self.campaign.judge_drift
         if not share:
             return values
         population = self.judge.truth.population
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
-        step = Normal(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
+        step = NormalSource(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
         return values + share * (population.sigma * moves)[:, :, None] * step.reshape(values.shape)
 
     def columns(self, calibrator: Calibrator) -> Columns:
-        """The columns of a method that the campaign wants."""
+        """Columns of a method that the campaign stores."""
         wanted, block, truth = self.campaign.statistics, self.block, self.judge.truth
         construction, effects = calibrator.construction, calibrator.effects
         if self.drawn:
@@ -249,7 +259,7 @@ class TrialBlock:
         columns[CHECKED] = np.full(len(calibrated.chi2), np.nan)
         for place in self.checked:
             columns[CHECKED][place] = calibrator.difference(block, int(place), calibrated)
-        if JUDGED & {*wanted}:
+        if CORRECTED_STATISTICS & {*wanted}:
             judged = self.shared | self.judge.after(block, calibrated, construction, effects)
             judged |= self._elsewhere(calibrated, calibrator)
             columns |= {

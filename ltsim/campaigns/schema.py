@@ -1,4 +1,4 @@
-"""Schema of manifest.json, and the tables of a campaign."""
+"""Schema of manifest.json and of the tables of a campaign."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from ltsim.recordings.result_file import Entry, ResultFile
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
-"""Probabilities of the quantiles."""
+"""Probabilities of the quantiles in a summary."""
 
 SUMMARY = "summary.csv"
 CHECKED = "full_difference_sigma"
-"""Column of the trials that were calibrated once more by the full solver."""
+"""Name of the column with differences from the full solver, for the trials that it repeated."""
 OF_PARAMETER = "of the parameter"
 STATUSES = CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
-"""Status of a trial: in the batch; by the full solver, since the batch was not enough; not at all."""
+"""Status of a trial: converged in the batch, calibrated by the full solver, or without a result."""
 Errors = Literal["drawn", "stated"]
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 BY_READING = (
@@ -36,14 +36,14 @@ POOLED = (
 
 @dataclass(frozen=True)
 class RowColumn(Column):
-    """A result in the rows of a campaign; one whose name ends in `:` stands for a column a parameter."""
+    """Column of results in the rows of a campaign; a name that ends in `:` means one column per parameter."""
 
     group: Statistic | None = None
     """Statistic of the campaign's file to which the column belongs; None for a column of all rows."""
 
 
 def _columns(group: Statistic | None, unit: str, **about: str) -> list[RowColumn]:
-    """Columns of a group in one unit: name and what it means."""
+    """Columns of a group in one unit, from names and meanings."""
     return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in about.items()]
 
 
@@ -54,7 +54,7 @@ def _per_parameter(name: str, unit: str, group: Statistic, meaning: str) -> RowC
 def _criterion(kind: str, what: str) -> list[RowColumn]:
     sizes = {
         f"{kind}_{when}_{which}_um": f"{word} of {what}, {words}"
-        for when, words in (("before", "readings as they are"), ("after", "readings corrected"))
+        for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
     gain = {f"{kind}_improvement_percent": f"100 (1 - after / before) of the mean {kind} criterion"}
@@ -62,10 +62,10 @@ def _criterion(kind: str, what: str) -> list[RowColumn]:
 
 
 def _errors(prefix: str, what: str) -> list[RowColumn]:
-    floor = "readings corrected by the true parameters: the floor of noise, and of what no parameter removes"
+    floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     sizes = {
-        f"{prefix}error_raw_um": f"{what}; readings as they are",
-        f"{prefix}error_calibrated_um": f"{what}; readings corrected as found",
+        f"{prefix}error_raw_um": f"{what}; readings without corrections",
+        f"{prefix}error_calibrated_um": f"{what}; readings corrected by the estimates",
         f"{prefix}error_true_parameters_um": f"{what}; {floor}",
     }
     return _columns("errors", "um", **sizes) + _columns(
@@ -91,29 +91,32 @@ COLUMNS: tuple[RowColumn, ...] = (
     _per_parameter("sigma", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
     _per_parameter("true", OF_PARAMETER, "truth", "true value of a parameter"),
 )
-"""Every result that rows and statistics can hold, defined once: for files, docs and report."""
+"""All results that rows and statistics can contain, declared once for files, documentation and reports."""
 SHARES = tuple(column.name for column in COLUMNS if column.name.endswith("share_removed"))
-"""Statistics of all trials together, which no single row has."""
+"""Ratios over all trials, which no single row has."""
 
 
 def column_of(name: str) -> RowColumn | None:
-    """The definition of a column of the rows, or of a statistic; None for a setting."""
+    """Definition of a column of the rows, or of a statistic; None for a setting."""
     return next((c for c in COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None)
 
 
 def errors_of(share: str) -> tuple[str, str, str]:
-    """The columns that a share is made of: raw, calibrated, with the true parameters."""
+    """Columns from which a ratio is computed: raw, calibrated, and with the true parameters."""
     prefix = share.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
 
 def identifier(name: str) -> str:
-    """A column's name as SQL takes it, whatever characters a file gave it."""
+    """Column name as an SQL identifier, for any characters."""
     return '"' + name.replace('"', '""') + '"'
 
 
 def terms_of(statistic: str) -> tuple[str, ...]:
-    """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
+    """SQL of the averaged terms: a column.
+
+    For a ratio the mean square that was removed, and that which could be removed.
+    """
     if statistic not in SHARES:
         return (identifier(statistic),)
     raw, calibrated, perfect = (f"{identifier(name)}::DOUBLE ^ 2" for name in errors_of(statistic))
@@ -122,7 +125,7 @@ def terms_of(statistic: str) -> tuple[str, ...]:
 
 ROWS = Table(
     "rows/cell-*/shard-*.parquet",
-    "one row a trial and method; settings of the cell stand behind its number",
+    "one row per trial and method; the settings of the cell follow its number",
     (
         *numbers(cell="number"),
         *texts(method="name"),
@@ -134,8 +137,11 @@ ROWS = Table(
 
 
 def summary_table(factors: Mapping[str, str]) -> Table:
-    """`summary.csv` of a campaign: one row a cell, method and column of the rows; factors are names with kinds."""
-    about = "setting of the cell, in the unit that manifest.json says"
+    """Table `summary.csv` of a campaign: one row per cell, method and column of the rows.
+
+    Factors are names with kinds.
+    """
+    about = "setting of the cell, in the unit of manifest.json"
     settings = [
         column
         for name, kind in factors.items()
@@ -147,7 +153,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
         (
             *numbers(cell="number"),
             *settings,
-            *texts(method="name", column="of the rows", unit="of all that follows but trials"),
+            *texts(method="name", column="of the rows", unit="of the following columns, except trials"),
             *numbers(trials="that have it"),
             *numbers("r", mean="over them", deviation="standard deviation"),
             *numbers("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),
@@ -191,7 +197,7 @@ class CellEntry(Entry):
     settings: dict[str, Any] = Field(default_factory=dict)
     """Values that the cell changes in the scenario, by dotted key."""
     mark: str = ""
-    """Digest of all that decides its rows; each of its shards says it too."""
+    """Digest of all that determines its rows; also in the metadata of its shards."""
 
 
 VARIED = Table(
@@ -219,7 +225,7 @@ ERRORS = Table(
 
 
 class ManifestFile(ResultFile):
-    """`manifest.json`: what a campaign is, written before its first row and where the campaign grows."""
+    """`manifest.json`: definition of a campaign, written before its first row and when it is extended."""
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
@@ -241,11 +247,11 @@ class ManifestFile(ResultFile):
     versions: dict[str, str] = Field(default_factory=dict)
     """Versions of the software that computed the rows, by package."""
     processor: str = "unknown"
-    """Type of the processor: rows are the same bytes on one type."""
+    """Type of the processor; rows have identical bytes on one type."""
     commit: str | None = None
-    """Commit of ltsim's checkout, where it runs from one."""
+    """Commit of ltsim's checkout, if it runs from one."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """The campaign file."""
+    """Contents of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell."""
 

@@ -1,4 +1,4 @@
-"""Scores of calibrators against a known truth: errors over the declared sigmas, and their expected distribution.
+"""Scores of calibrators relative to a known truth: errors divided by declared sigmas, and their expected distribution.
 
 A foreign calibrator is a program, or a function, that takes a recording and gives parameters. The program is
 called with the folder of a recording and the name of a file to write, which holds (`ltsim-estimates/1`; a
@@ -40,15 +40,15 @@ from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
 
-NOISELESS = 1e-4
-"""Share of a stated variance under which the error is the prior's, not the noise's."""
-MOST_OF_A_LINE = 300
-"""Characters of a foreign program's last line in a message."""
+MIN_NOISE_SHARE = 1e-4
+"""Fraction of a declared variance below which the error comes from the prior and not from noise."""
+MAX_LINE_LENGTH = 300
+"""Largest number of characters of an external program's last line in a message."""
 RECORDING, OUT = "{recording}", "{out}"
 
 
 class ParameterEstimate(NamedTuple):
-    """A parameter as a calibrator gives it, in a unit that `ltsim effects` lists."""
+    """Parameter estimated by a calibrator, in a unit that `ltsim effects` lists."""
 
     value: Finite
     sigma: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
@@ -56,12 +56,14 @@ class ParameterEstimate(NamedTuple):
 
 
 Calibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
-"""A command with the words {recording} and {out}, or a function that gives value, sigma and unit by name."""
+"""External calibrator: a command with the words {recording} and {out}, or a function that returns value, sigma and unit
+by name.
+"""
 _ESTIMATES = TypeAdapter(dict[str, ParameterEstimate])
 
 
 def checked_command(command: str) -> list[str]:
-    """The words of a command; raises SetupError where it lacks a place for the recording or its answer."""
+    """Words of a command; raises SetupError for a command without {recording} or {out}."""
     for place in (RECORDING, OUT):
         if place not in command:
             raise SetupError(f"--calibrator '{shown(command)}' lacks {place}: expected 'CMD {RECORDING} {OUT}'")
@@ -72,7 +74,7 @@ def checked_command(command: str) -> list[str]:
 
 
 def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, ParameterEstimate]:
-    """Parameters that a calibrator estimates from a recording, by name.
+    """Parameters that an external calibrator estimates from a recording, by name.
 
     Raises CalibratorError when it ends without a result (a status other than 0, None); SetupError or RecordError, with
     `where`, when it cannot be started or its result does not follow the format.
@@ -99,9 +101,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            detail = (
-                f"its last line was: {shown(last, MOST_OF_A_LINE)}" if last else "it wrote nothing to standard error"
-            )
+            detail = f"its last line was: {shown(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
             raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {detail}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
@@ -120,7 +120,7 @@ def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
         raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
     lost = next((entry.unit for entry in estimates.values() if entry.unit not in FACTOR), None)
     if lost is not None:
-        raise RecordError(f"'{shown(lost)}' is no unit, expected one of {', '.join(FACTOR)}", file=where)
+        raise RecordError(f"'{shown(lost)}' is not a unit, expected one of {', '.join(FACTOR)}", file=where)
     if not estimates:
         raise RecordError("no parameter in the result; expected at least one", file=where)
     return estimates
@@ -128,53 +128,53 @@ def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """Scores of a trial for the whole network; NaN where they are unknown."""
+    """Scores of a trial for the whole network; NaN for unknown ones."""
 
     targets: float = np.nan
     stations: float = np.nan
-    """Mean square of the errors over sigma of all target coordinates, and of all poses but the first station's."""
+    """Mean square of error divided by sigma of all target coordinates, and of all poses except the first one."""
     chi2: float = np.nan
     dof: float = np.nan
     expected: float = np.nan
     spread: float = np.nan
-    """Mean and standard deviation of chi-square for the truth as it was made, stated or drawn."""
+    """Mean and standard deviation of chi-square for the truth as it was made, declared or drawn."""
 
 
 @dataclass(frozen=True)
 class Trial(ValueEquality):
-    """Estimates of a calibrator in one trial, with the truth; parameters in display units."""
+    """Estimates of a calibrator in one trial, with the truth; parameters in units of display."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     estimate: Floats
     sigma: Floats
-    """Standard deviations that the calibrator declares; NaN for none, (p,)."""
+    """Standard deviations that the calibrator declares, (p,); NaN for none."""
     truth: Floats
     standard: Floats
-    """(p,): z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no
-    part, or the calibrator's prior is not known.
+    """z-scores (p,) that are standard normal for the truth as it was made, declared or drawn; NaN for parameters
+    without influence of noise, and for a calibrator with unknown prior.
     """
     network: NetworkScore = NetworkScore()
     foreign: bool = False
-    """True for a foreign calibrator, whose prior is unknown."""
+    """True for an external calibrator, whose prior is unknown."""
     other: Trial | None = None
-    """Estimates of ltsim's own calibrator from the same recording."""
+    """Estimates of ltsim's calibrator from the same recording; None if there is no external calibrator."""
 
     @property
     def z(self) -> Floats:
-        """Errors over declared sigmas, (p,)."""
+        """Errors divided by declared sigmas, (p,)."""
         return (self.estimate - self.truth) / self.sigma
 
 
 class TrueValue(NamedTuple):
-    """A true parameter [SI], and the unit in which people read it."""
+    """True value of a parameter [SI], and its unit of display."""
 
     value: float
     unit: str
 
 
 def true_values(truth: Truth) -> dict[str, TrueValue]:
-    """True parameters by name; those of effects as ``head-sag:sag``, with the place behind where there is one."""
+    """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
     values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
     for applied in truth.applied:
         place = f" {applied.effect.place}" if applied.effect.place else ""
@@ -184,12 +184,12 @@ def true_values(truth: Truth) -> dict[str, TrueValue]:
 
 
 def check_true_parameters(names: Sequence[str], true: Collection[str], truth: Truth) -> None:
-    """Raise SetupError for a parameter that is not among the true ones."""
+    """Check that parameters have true values; raises SetupError for another one."""
     unknown = [name for name in names if name not in true]
     if unknown:
         raise SetupError(
-            f"the calibrator's parameter {unknown[0]} is not one that the simulated instrument "
-            f"({truth.construction}) has; recover with its own construction"
+            f"the simulated instrument ({truth.construction}) has no parameter {unknown[0]}, "
+            "which the calibrator gives; recover with the same construction"
         )
 
 
@@ -198,19 +198,19 @@ class ExpectedTruth:
     """Expected truth for an estimator with a prior: P parameters [prior sigma] of instruments and declared errors."""
 
     mean: Floats
-    """Mean of the draw of the truth; the truth itself where it was not drawn, (P,)."""
+    """Mean of the distribution of the truth, (P,); the truth itself if it was not drawn."""
     drawn: Floats
-    """Standard deviation of the draw, (P,)."""
+    """Standard deviation of the distribution of the truth, (P,)."""
     missed: Floats
-    """Bias of the estimates per unit of the truth, noise aside: the bias is -missed @ truth, (P, P)."""
+    """Matrix (P, P) of the bias of the estimates without noise: the bias is -missed @ truth."""
     columns: Ints
-    """Columns of the adjusted network, in the order of these; empty without one, (P,)."""
+    """Columns of the adjusted network for these parameters, (P,); empty without a network."""
     units: Floats
     """Prior sigmas, (P,) [SI]."""
 
     @classmethod
     def of(cls, calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
-        """Truth of a simulated recording; `law` has the meaning that it has in `score`."""
+        """Expected truth of a simulated recording; `law` as in `score`."""
         prior = calibration.prior_sigma.ravel()
         mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
         adjustment = calibration.adjustment
@@ -228,12 +228,12 @@ class ExpectedTruth:
 
     @property
     def is_prior(self) -> bool:
-        """True for a truth that is drawn from the prior."""
+        """True for a truth that was drawn from the prior."""
         return not np.any(self.mean) and bool(np.all(self.drawn == 1.0))
 
     @property
     def missing_variance(self) -> Floats:
-        """Share of the prior's variance that the draw lacks, (P,)."""
+        """Fraction of the prior variance that the distribution of the truth lacks, (P,)."""
         return 1.0 - self.drawn**2
 
 
@@ -247,7 +247,7 @@ def _reflector_error(truth: Truth) -> Floats:
 
 
 def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
-    """Score of ltsim's calibration against a truth; raises SetupError where that lacks parameters of the calibration.
+    """Score of ltsim's calibration relative to a truth; raises SetupError for a parameter without a true value.
 
     `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared one.
     """
@@ -258,7 +258,7 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
     error, sigma_scaled = (calibration.values.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.missed[:count]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
-    noisy = variance > NOISELESS * sigma_scaled**2
+    noisy = variance > MIN_NOISE_SHARE * sigma_scaled**2
     standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
     network = NetworkScore(
         *_network_scores(calibration, truth, expected),
@@ -283,7 +283,7 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
 
 
 def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Parameters of effects that were estimated with the calibration, by the names of `true_values`."""
+    """Parameters of the estimated effects of a calibration, with the names of `true_values`."""
     return {
         f"{entry.effect}:{parameter.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
             parameter.value, parameter.sigma, parameter.unit
@@ -295,7 +295,7 @@ def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
 
 
 def _chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
-    """Mean and standard deviation of chi-square with such truths."""
+    """Mean and standard deviation of chi-square for such truths."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected.is_prior and sigma is not None else (np.nan, np.nan)
@@ -305,10 +305,12 @@ def _chi2(calibration: Calibration, expected: ExpectedTruth) -> tuple[float, flo
 
 
 def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
-    """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame.
+    """Mean square of error divided by sigma, of targets and of poses, relative to the first station.
 
-    Both as they are to be expected of such truths; of those that are not drawn from the prior for the network method
-    alone.
+    NaN in another frame.
+
+    Both are divided by their expectation for such truths; for truths that are not drawn from the prior, only the
+    network method has one.
     """
     adjustment = calibration.adjustment
     unknown = calibration.method != "network" and not expected.is_prior
@@ -340,10 +342,10 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
 def score_estimates(
     estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: Errors, reference: Trial | None
 ) -> Trial:
-    """The trial of a foreign calibrator, with ltsim's estimates of the same parameters.
+    """Score of an external calibrator in a trial, with ltsim's estimates of the same parameters.
 
-    Parameters come in the order and the units of the truth, whatever those of a trial are. Raises SetupError for one
-    that the truth lacks, or whose unit is of another kind.
+    Parameters are in the order and units of the truth. Raises SetupError for a parameter without a true value, or with
+    a unit of another kind.
     """
     true = true_values(truth)
     check_true_parameters(tuple(estimates), true, truth)

@@ -1,4 +1,4 @@
-"""The campaign file (ltsim-campaign/1): a base scenario, what varies, what is compared, how many trials."""
+"""Campaign file (ltsim-campaign/1): a base scenario, factors, methods to compare, number of trials."""
 
 import hashlib
 import itertools
@@ -18,39 +18,42 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.settings import checked, read_toml
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of
-from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario
+from ltsim.simulation.scenario import REMOVED, Scenario, changed, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 
 FORMAT = "ltsim-campaign/1"
-MOST_CELLS, MOST_SHARDS = 4096, 500_000
+MAX_CELLS, MAX_SHARDS = 4096, 500_000
 JUDGE = "judge"
-"""Key of the draws in the place of `judge_in`."""
+"""Key of the random draws at the place of `judge_in`."""
 
 
 class Method(TomlSection):
     """Calibration method of a campaign.
 
-    `solver`: ``batch`` calibrates all trials of a geometry together, ``single`` one recording after the other by the
-    calibrator that users have; they agree (every campaign verifies it), the first is hundreds of times as fast.
+    `solver`: ``batch`` calibrates all trials of a geometry together and is hundreds of times as fast, ``single``
+    calibrates each recording with `lt.calibrate`. Both agree, which every campaign verifies.
     """
 
     name: str = ""
-    """Name of the method in the results; that of `method` where it is not given."""
+    """Name of the method in the results; default that of `method`."""
     method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
-    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations: over what
-    the readings determine, or its own minimum (`equation-9`)."""
+    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations (`-l1`);
+    `distance` estimates what the readings determine, `equation-9` is the objective as printed.
+    """
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Construction whose parameters are estimated; `ideal` estimates none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of its polynomials in the range."""
+    """Degree of the polynomials in the range of the `dh` chain."""
     effects: tuple[PlacedEffect, ...] = ()
-    """Further effects to estimate, tables `[[methods.effects]]`."""
+    """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
-    """All trials of a geometry together, or one after the other."""
+    """Solver: all trials of a geometry together, or each recording separately."""
     applied: bool = False
-    """Judge what `ltsim calibrate` takes out of readings in place of the estimates; `single` and network only."""
+    """True if the corrections that `ltsim calibrate` applies are evaluated in place of the estimates; for `single` with
+    the network method only.
+    """
 
     @property
     def title(self) -> str:
@@ -75,19 +78,19 @@ class Stop(TomlSection):
     """
 
     statistic: str = "target_error_um"
-    """A column of the rows, or an improvement."""
+    """Column of the rows, or an improvement."""
     within: Positive
-    """Half of the 95 % interval of the mean, in the statistic's unit."""
+    """Half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 
 
 class Campaign(TomlSection):
-    """The whole file.
+    """Contents of a campaign file.
 
     `settings` changes the scenario for all cells, `grid` holds lists of values that are combined with each other,
     `design` spreads points over ranges, `cells` lists combinations one by one; each of them is combined with the
     others. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"`` (entries of a list by number, as
-    in ``"effects.1.values.x"``), or names of `link`. A value is a number in the key's unit, or a text with its
-    unit (``"2 urad"``). Truth and fit are apart: the scenario says what is true, `methods` what is estimated.
+    in ``"effects.1.values.x"``), or names of `link`. A value is a number in the key's unit, or a text with its unit
+    (``"2 urad"``). Truth and model are separate: the scenario defines the truth, `methods` the estimated parameters.
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
@@ -95,17 +98,17 @@ class Campaign(TomlSection):
     title: str = ""
     """Free text."""
     scenario: str = "paper-workshop"
-    """A built-in scenario, or a file in the folder of this one."""
+    """Built-in scenario, or a file in the folder of the campaign file."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Root of all random draws."""
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
     """Number of trials of each cell."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
-    """Trials per output file; if the process is killed at most one unfinished file is lost."""
+    """Number of trials per output file; if the process is killed at most one unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
-    """All trials of a cell share one placing of stations and targets, or each has its own."""
+    """Placing of stations and targets: a common one for all trials of a cell, or a separate one for each."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
-    """Trials of each shard, its first ones, that the full solver repeats."""
+    """Number of trials of each shard (its first ones) that the full solver repeats for verification."""
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
     """Groups of results that each row holds."""
     judge_in: str = ""
@@ -118,7 +121,7 @@ class Campaign(TomlSection):
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes of the scenario for all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
-    """Names for keys that take the same value together; the rows' column has this name."""
+    """Names for groups of keys that take the same value; the rows' column has this name."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
     """Values that are combined with each other, by dotted key."""
     design: Design | None = None
@@ -128,15 +131,15 @@ class Campaign(TomlSection):
     stop: Stop | None = None
     """Stopping rule of a cell before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
-    """The calibrators to compare, tables `[[methods]]`."""
+    """Calibration methods to compare, tables `[[methods]]`."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         titles = [method.title for method in self.methods]
         if not titles or len(set(titles)) < len(titles):
-            raise ValueError(f"it should hold methods with different names, found {', '.join(titles) or 'none'}")
+            raise ValueError(f"it should have methods with different names, found {', '.join(titles) or 'none'}")
         if any(not values for values in self.grid.values()):
-            raise ValueError("it should hold at least one value a key of the grid")
+            raise ValueError("it should have at least one value per key of the grid")
         return self
 
     @model_validator(mode="after")
@@ -160,11 +163,11 @@ class Campaign(TomlSection):
     def _limit_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
-        if cells > MOST_CELLS:
-            raise ValueError(f"it should have at most {MOST_CELLS} cells, the grid makes {cells}: divide the campaign")
-        if cells * self.shards > MOST_SHARDS:
+        if cells > MAX_CELLS:
+            raise ValueError(f"it should have at most {MAX_CELLS} cells, the grid makes {cells}: divide the campaign")
+        if cells * self.shards > MAX_SHARDS:
             raise ValueError(
-                f"it should have at most {MOST_SHARDS} shards, trials and shard make {cells * self.shards}: "
+                f"it should have at most {MAX_SHARDS} shards, trials and shard make {cells * self.shards}: "
                 "give a larger shard"
             )
         return self
@@ -181,7 +184,7 @@ class Campaign(TomlSection):
         return tuple(dict.fromkeys((*listed, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """Factors that differ between cells; `scenario` is that of any cell. A title stands for tables."""
+        """Factors that differ between cells; `scenario` is that of any cell. A table is represented by its title."""
         titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
         factors = (
             Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
@@ -199,16 +202,16 @@ class Campaign(TomlSection):
                 yield self.by_key(values_by_name)
 
     def by_key(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by dotted key, those by a name of `link` for each of its keys."""
+        """Values by dotted key; the value of a name in `link` is assigned to each of its keys."""
         return {key: value for name, value in values.items() for key in self.link.get(name, (name,))}
 
 
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """Campaign of a file, or of `tables` in its place, and the scenario of each of its cells; raises SetupError.
+    """Campaign of a file (or of `tables` in its place), and the scenario of each of its cells; raises SetupError.
 
-    `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
+    `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which are then constant.
     """
     with as_setup_error():
         given = read_toml(path, "campaign") if tables is None else {"format": FORMAT, **tables}
@@ -250,7 +253,7 @@ class Cell:
     judge: Scenario | None
     """Scenario of the held-out points; None without `judge_in`."""
     settings: dict[str, Any]
-    """Values that it changes in the scenario, by dotted key."""
+    """Values that the cell changes in the scenario, by dotted key."""
     levels: dict[str, Any]
     """Value of each factor, by the factor's name."""
     mark: str
@@ -275,7 +278,7 @@ def cells_of(
 
 
 def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
-    """The place of `judge_in` for the instruments of a scenario; `path` is of the file that names it.
+    """Scenario at the place of `judge_in` with the instruments of a scenario; `path` is the file that names it.
 
     Raises SetupError.
     """
@@ -285,7 +288,7 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
-        changes = {"gauge": NONE, "lengths": [], "work.targets": NONE, "targets": places, "effects": effects}
+        changes = {"gauge": REMOVED, "lengths": [], "work.targets": REMOVED, "targets": places, "effects": effects}
         return changed(scenario, changes, path, f"{path}: judge_in")
     room = load_scenario(file or name)
     same = {"instrument": scenario.instrument, "instruments": scenario.instruments}
@@ -298,7 +301,7 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
 
 
 def local_file(name: str, path: Path) -> Path | None:
-    """File that a campaign names, relative to its folder or in it; None where there is none."""
+    """Path of a file that a campaign names, relative to its folder; None if it does not exist."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
@@ -306,13 +309,13 @@ def local_file(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """CAD files of the workshops, each once."""
+    """CAD files of the workshops, without duplicates."""
     named = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(named)]
 
 
 def _by_content(scenario: Scenario) -> Scenario:
-    """The scenario with the digests of its CAD files in place of their names."""
+    """Scenario with the digests of its CAD files in place of their names."""
     room = scenario.workshop
     digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
     named = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in room.obstacles]
@@ -320,7 +323,7 @@ def _by_content(scenario: Scenario) -> Scenario:
 
 
 def read_cad(path: Path) -> bytes:
-    """The bytes of a CAD file; raises SetupError."""
+    """Content of a CAD file; raises SetupError."""
     try:
         return path.read_bytes()
     except OSError as problem:

@@ -1,4 +1,4 @@
-"""Statistics of a campaign's rows: queries that stream over the shards, a column at a time."""
+"""Statistics of a campaign's rows by queries that stream over the shards, one column at a time."""
 
 from __future__ import annotations
 
@@ -41,18 +41,20 @@ CONNECTION: dict[str, Any] = {
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
-"""Settings of the database: no extension is fetched or loaded, whatever a query or a file names."""
-MOST_EXACT = 50_000_000
-"""Rows whose quantiles are exact: these take all values of a column at once; of more they come from a t-digest."""
+"""Settings of the database: no extension is downloaded or loaded, for any query or file."""
+MAX_EXACT = 50_000_000
+"""Largest number of rows with exact quantiles, which need all values of a column in memory; above it a t-digest is
+used.
+"""
 IMPROVEMENTS = ("distance", "coordinate")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A statistic over the trials of one cell and method.
+    """Statistic over the trials of one cell and method.
 
-    `low` and `high` bound the mean with 95 % confidence, also where cells stop by what they hold; `quantiles` belong to
-    `LEVELS`. A share has a mean and an interval alone: it is one of all trials together.
+    `low` and `high` are the 95 % confidence limits of the mean, valid also with adaptive stopping; `quantiles` belong
+    to `LEVELS`. A ratio over all trials has only a mean and an interval.
     """
 
     cell: int
@@ -70,7 +72,10 @@ class Spread:
 
 @dataclass(frozen=True)
 class Scores:
-    """The z-scores of one parameter: N(0, 1) where the truth is drawn from the prior and the covariance is right."""
+    """Summary of the z-scores of one parameter.
+
+    They are N(0, 1) if the truth is drawn from the prior and the covariance is correct.
+    """
 
     cell: int
     method: str
@@ -83,7 +88,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Checked:
-    """Statuses of the trials of a cell and method, and largest difference of the batch from the full solver."""
+    """Statuses of the trials of a cell and method, and largest difference between the batch and the full solver."""
 
     cell: int
     method: str
@@ -95,7 +100,7 @@ class Checked:
 
 
 class Statistics:
-    """The rows of a campaign's folder, as tables to query.
+    """Rows of a campaign's folder as tables for queries.
 
     Parameters
     ----------
@@ -159,13 +164,16 @@ class Statistics:
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Raise ValueError where rows are of a cell or a method that the manifest does not have."""
+        """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
         for cell, method in self._base.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
 
     def _hold_cells(self) -> None:
-        """Table `cells`, in the types that the rows have; not through Arrow, which imports pandas for any list."""
+        """Creation of the table `cells` with the types of the rows.
+
+        Without Arrow, which imports pandas for any list.
+        """
         cells = self._cells()
         columns = "".join(f", {identifier(factor.name)}" for factor in self.factors)
         self._base.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{columns} FROM rows LIMIT 0")
@@ -207,7 +215,7 @@ class Statistics:
         return [{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
-        """Rows of any query over `rows` and `cells`.
+        """Result rows of any query over `rows` and `cells`.
 
         Raises
         ------
@@ -222,7 +230,7 @@ class Statistics:
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
             raise _damaged(self.folder, problem) from None
         except duckdb.Error as problem:
-            raise ModelError(f"the query fails: {' '.join(str(problem).split())}") from None
+            raise ModelError(f"the query failed: {' '.join(str(problem).split())}") from None
 
     def _quoted(self, column: str) -> str:
         if column not in self.columns:
@@ -230,18 +238,18 @@ class Statistics:
         return identifier(column)
 
     def half(self, count: int, deviation: float) -> float:
-        """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""
+        """Half-width of the 95 % confidence interval of a mean, or of a ratio of means."""
         stops = bool(self.manifest.settings.get("stop"))
         level = level_of(self.manifest.trials, self.manifest.shard or 1, stops=stops)
         return quantile(count, level) * deviation / math.sqrt(count)
 
     def spread(self, column: str) -> list[Spread]:
-        """Mean, spread and quantiles of a column in every cell and for every method."""
+        """Mean, standard deviation and quantiles of a column in every cell and for every method."""
         name = self._quoted(column)
         if column in SHARES:
             return self._shares(column)
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
+        kind = "quantile_cont" if size <= MAX_EXACT else "approx_quantile"
         what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
         summaries = []
         for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"isfinite({name})"):
@@ -256,7 +264,7 @@ class Statistics:
         return self._cache[sql]
 
     def _shares(self, column: str) -> list[Spread]:
-        """Ratios of means with the interval of their linear form (delta method)."""
+        """Ratios of means with confidence intervals (delta method)."""
         gained, correctable = terms_of(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
@@ -270,12 +278,12 @@ class Statistics:
         return shares
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
-        """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
+        """Finite values (n,) of a column for a cell and method, from the first `most` trials."""
         name = self._quoted(column)
         return self.of_trials((name,), cell, method, f"isfinite({name}) AND trial < {int(most)}")[0]
 
     def of_trials(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
-        """Numbers (k, n) of the trials of a cell and method, in their order: terms of SQL where something holds."""
+        """Values (k, n) of SQL terms for the trials of a cell and method, in their order, under a condition."""
         word = method.replace("'", "''")
         rows = self.query(
             f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {where} "
@@ -284,7 +292,7 @@ class Statistics:
         return np.array(rows, dtype=np.float64).reshape(len(rows), len(terms)).T
 
     def z_scores(self) -> list[Scores]:
-        """Mean, spread and coverage of the z-scores of every parameter."""
+        """Mean, standard deviation and coverage of the z-scores of every parameter."""
         summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._quoted(column), column.removeprefix("z:")
@@ -294,12 +302,12 @@ class Statistics:
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def checked(self) -> list[Checked]:
-        """Ends of the trials, and the largest difference from the full solver on the sample that was verified."""
+        """Statuses of the trials, and largest difference from the full solver in the verified sample."""
         ended = f"count(*) FILTER (status = '{FAILED}'), count(*) FILTER (status = '{FULL}')"
         return [Checked(*row) for row in self._each(f"count(*), {ended}, count({CHECKED}), max({CHECKED})")]
 
     def summary(self) -> dict[str, Any]:
-        """Content of the report, as plain data."""
+        """Content of the report as plain data."""
         wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
         return {
             "format": "ltsim-campaign-summary/1",
@@ -324,7 +332,7 @@ class Statistics:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Context in which an interruption of a query is a KeyboardInterrupt; DuckDB replaces it by a RuntimeError."""
+    """Context in which an interrupted query raises KeyboardInterrupt in place of DuckDB's RuntimeError."""
     try:
         yield
     except RuntimeError as problem:
@@ -334,7 +342,7 @@ def _interruptible() -> Iterator[None]:
 
 
 def _without_nan(value: Any) -> Any:
-    """The same with None for what is not known, as JSON has it."""
+    """Value with None in place of NaN, for JSON."""
     if isinstance(value, dict):
         return {key: _without_nan(entry) for key, entry in value.items()}
     if isinstance(value, tuple):
@@ -343,14 +351,14 @@ def _without_nan(value: Any) -> Any:
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:
-    """Units in the metadata of a shard's columns, and of the improvements that are added."""
+    """Units in the metadata of a shard's columns, and of the added improvement columns."""
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
     return {name: unit for name, unit in (units | added).items() if unit}
 
 
 def _improvements(names: list[str]) -> str:
-    """SQL of the added columns, for the criteria that the rows hold."""
+    """SQL of the improvement columns, for the criteria in the rows."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
         for kind in IMPROVEMENTS

@@ -1,12 +1,12 @@
-"""Trials still required: all of them, or round by round those of cells whose mean is not precise enough.
+"""Adaptive stopping: the trials that are still required, round by round for cells whose mean is not precise enough.
 
-What a round does is decided by the rows of the rounds before it alone: the same whatever the number of workers, and
-after any stop. Trials are those of the full run, from the first on.
+A round depends only on the rows of previous rounds, and thus neither on the number of workers nor on interruptions.
+Trials are those of the full run, from the first on.
 
-Who looks several times and stops at a narrow interval stops more often where it is narrow by luck. So the error rate
-of 5 % is divided by the number of looks that a cell can have (Bonferroni, by quantiles of t): all intervals together
-hold the mean with 95 %, and so does the one at which a cell stops. The first look waits for `LEAST` trials, so that the
-variance is known and a mean of skewed values is near normal.
+Repeated looks favour intervals that are narrow by chance. The error rate of 5 % is therefore divided by the number of
+possible looks of a cell (Bonferroni, with quantiles of t): all intervals together contain the mean with 95 %, and so
+does the one at which a cell stops. The first look has at least `MIN_TRIALS` trials, so that the variance is known and
+the mean of skewed values is nearly normal.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ if TYPE_CHECKING:
     from ltsim.campaigns.spec import Campaign
 
 GROWTH = 1.5
-"""Ratio of the trials after a round to those before it."""
-LEAST = 64
-"""Trials before the first look."""
-LEVEL = 0.05
-"""Two-sided error rate of all intervals of a cell together; without a stop, of each."""
+"""Ratio of the number of trials after a round to that before it."""
+MIN_TRIALS = 64
+"""Smallest number of trials before the first look."""
+ERROR_RATE = 0.05
+"""Two-sided error rate of all intervals of a cell together; without adaptive stopping, of each interval."""
 Shard = tuple[int, int]
-"""Cell and number."""
+"""Shard as a pair of cell number and shard number."""
 
 
 def quantile(count: int, level: float) -> float:
-    """Two-sided quantile of Student's t, for the mean of so many values at an error rate."""
+    """Two-sided quantile of Student's t for the mean of `count` values at an error rate."""
     return -float(special.stdtrit(count - 1, 0.5 * level)) if count > 1 else math.inf
 
 
 def level_of(trials: int, shard: int, *, stops: bool) -> float:
-    """Error rate of each interval of a cell of so many trials, so that that at which it stops keeps `LEVEL`."""
-    return LEVEL / len(schedule(trials, shard)) if stops else LEVEL
+    """Error rate of each interval of a cell, such that the interval at which it stops has the rate `ERROR_RATE`."""
+    return ERROR_RATE / len(schedule(trials, shard)) if stops else ERROR_RATE
 
 
 def schedule(trials: int, shard: int) -> list[int]:
-    """Numbers of shards after which a cell is looked at."""
+    """Numbers of shards after which a cell is evaluated."""
     whole = -(-trials // shard)
-    done = [min(-(-LEAST // shard), whole)]
+    done = [min(-(-MIN_TRIALS // shard), whole)]
     while done[-1] < whole:
         done.append(min(math.ceil(GROWTH * done[-1]), whole))
     return done
@@ -52,9 +52,10 @@ def schedule(trials: int, shard: int) -> list[int]:
 def rounds(
     campaign: Campaign, cells: int, half_intervals: Callable[[str, int], Mapping[tuple[int, str], float]]
 ) -> Iterator[list[Shard]]:
-    """Shards to be done, round by round; a round is asked for when all of the one before are finished.
+    """Shards to be computed, round by round; a round begins when all shards of the previous one are finished.
 
-    `known` gives half of the interval of a statistic's mean by so many first shards, by cell and method.
+    `half_intervals` returns the half-width of the interval of the statistic's mean over the first shards, by cell and
+    method.
     """
     if (stop := campaign.stop) is None:
         yield [(cell, shard) for cell in range(cells) for shard in range(campaign.shards)]

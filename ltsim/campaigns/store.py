@@ -1,4 +1,4 @@
-"""The folder of a campaign: a manifest and shards of rows, written so that nothing finished can be lost.
+"""Folder of a campaign: a manifest and shards of rows, written so that no finished shard can be lost.
 
     manifest.json                          settings, seed, versions, commit; written before the first row, anew to grow
     campaign.toml                          the file as it was given
@@ -6,9 +6,9 @@
 
     rows.sha256                            digest of each shard, as `sha256sum --check` reads it
 
-A shard appears under its name only when it is whole and on the disk (temporary sibling, fsync, rename). Its bytes
-depend on settings and versions alone. Every reader compares its digest first; where a kill left a shard without one,
-the checksums of its pages and its label are compared.
+A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend on
+settings and versions alone. Every reader compares its digest first; for a shard without digest, after a kill, the
+checksums of its pages and its metadata are compared.
 """
 
 import contextlib
@@ -33,11 +33,11 @@ from ltsim.recordings.result_file import read_result
 
 MANIFEST, SOURCE, ROWS, LOCK, DIGESTS = ManifestFile.FILE, "campaign.toml", "rows", ".lock", "rows.sha256"
 DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
-"""A whole line of the digests."""
+"""Pattern of a complete line in the file of digests."""
 
 
 def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
-    """A table as the bytes of a Parquet file; `key` says which shard of what it is."""
+    """Bytes of a table as a Parquet file; `key` is stored as its metadata."""
     labelled = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
     words = [f.name for f in labelled.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
     sink = pa.BufferOutputStream()
@@ -57,13 +57,13 @@ def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
 
 
 def table_of(path: Path) -> pa.Table:
-    """The rows of a shard, every checksum verified; raises `pyarrow.ArrowException` or OSError."""
+    """Rows of a shard with verified checksums; raises `pyarrow.ArrowException` or OSError."""
     return pq.ParquetFile(path, page_checksum_verification=True).read()
 
 
 @dataclass(frozen=True)
 class Store:
-    """A campaign's folder."""
+    """Folder of a campaign, with its manifest, shards and digests."""
 
     folder: Path
 
@@ -72,20 +72,23 @@ class Store:
         return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shards(self, below: int | None = None) -> list[Path]:
-        """Paths of the finished shards, in their order; only those `below` a number."""
+        """Paths of the finished shards in order; only those with numbers `below` a limit."""
         paths = sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
         return [path for path in paths if below is None or path.name < self.shard_path(0, below).name]
 
     def rows(self, cell: int, shard: int) -> pa.Table:
-        """The rows of a finished shard; raises SetupError when it is damaged."""
+        """Rows of a finished shard; raises SetupError for a damaged one."""
         path = self.shard_path(cell, shard)
         try:
             return table_of(path)
         except (pa.ArrowException, OSError) as problem:
-            raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
+            raise SetupError(f"{path}: cannot be read ({problem}); continue with --resume to repair it") from None
 
     def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
-        """Raise OSError, ValueError or pyarrow.ArrowException where a shard is not as it was written for its cell."""
+        """Check that shards are as they were written for their cells.
+
+        Raises OSError, ValueError or pyarrow.ArrowException.
+        """
         digests = self.digests()
         for path in shards:
             name = path.relative_to(self.folder).as_posix()
@@ -95,10 +98,10 @@ class Store:
                 continue
             label = _label(table_of(path))
             if label.get("campaign") != marks.get(int(label.get("cell", -1))):
-                raise ValueError(f"{name} is of another campaign")
+                raise ValueError(f"{name} belongs to another campaign")
 
     def digests(self) -> dict[str, str]:
-        """Digest of each shard by its place in the folder, as far as they are noted."""
+        """Recorded digests of shards, by their path in the folder."""
         try:
             text = (self.folder / DIGESTS).read_text(encoding="ascii", errors="replace")
         except OSError:
@@ -107,33 +110,33 @@ class Store:
 
     @property
     def begun(self) -> bool:
-        """True when the folder holds a campaign."""
+        """True if the folder contains a campaign."""
         return (self.folder / MANIFEST).exists()
 
     def manifest(self) -> ManifestFile:
-        """The manifest; raises SetupError when the folder holds no campaign, or its manifest is damaged."""
+        """Manifest of the campaign; raises SetupError if there is none or it is damaged."""
         if not self.begun:
-            raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})")
+            raise SetupError(f"{self.folder}: the folder holds no campaign (no {MANIFEST})")
         try:
             return read_result(self.folder, ManifestFile)
         except RecordError as problem:
-            raise SetupError(f"{problem}; begin again in another folder, the rows in this one stay") from None
+            raise SetupError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
     def begin(self, manifest: ManifestFile, sources: Mapping[str, bytes]) -> None:
-        """Write the files that the campaign was given, then its manifest; where it has grown, anew."""
+        """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
             write_files(self.folder, {**sources, MANIFEST: manifest.text().encode()}, durable=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
-        """Put a shard in its place at once; raises SetupError when the disk is full or cannot be written to."""
+        """Atomic writing of a shard; raises SetupError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._writing():
             write_files(self.folder, {name: content}, durable=True)
             self._note(name, hashlib.sha256(content).hexdigest())
 
     def note(self, cell: int, shard: int) -> None:
-        """Note the digest of a whole shard whose line a kill kept from the disk."""
+        """Recording of the digest of a complete shard for which a kill prevented it."""
         path = self.shard_path(cell, shard)
         with self._writing():
             self._note(path.relative_to(self.folder).as_posix(), _digest(path))
@@ -143,13 +146,13 @@ class Store:
             stream.write(f"{digest}  {name}\n")
 
     def taken(self, sources: Mapping[str, bytes]) -> list[str]:
-        """Names in the folder that beginning a campaign with some sources would replace by something else."""
+        """Names of files in the folder that a new campaign with some sources would overwrite with other content."""
         others = [name for name in (ROWS, DIGESTS, SUMMARY) if (self.folder / name).exists()]
         there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
     def clear(self) -> None:
-        """Remove manifest, rows and what was made of them; raises RecordError for rows in another folder."""
+        """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
         place_in(self.folder, ROWS)
         with self._writing():
             for name in (MANIFEST, DIGESTS, SUMMARY):
@@ -157,10 +160,10 @@ class Store:
             if (self.folder / ROWS).exists():
                 shutil.rmtree(self.folder / ROWS)
 
-    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
-        """`whole`, `missing`, `damaged`, or `short` of rows or columns: whether a shard can be relied on.
+    def shard_status(self, cell: int, shard: int, key: Mapping[str, str], rows: int, digests: Mapping[str, str]) -> str:
+        """Status of a shard: `whole`, `missing`, `damaged`, or `short` of rows or columns.
 
-        `known` are the noted digests.
+        `digests` are the recorded digests.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -176,8 +179,8 @@ class Store:
             return "damaged"
         return "short" if short else "whole"
 
-    def set_aside(self, cell: int, shard: int) -> Path:
-        """Rename a damaged shard, so that it can be looked at; where it went."""
+    def quarantine(self, cell: int, shard: int) -> Path:
+        """Path of a damaged shard after it was renamed for inspection."""
         path = self.shard_path(cell, shard)
         aside = path.with_suffix(".damaged")
         place_in(self.folder, aside.relative_to(self.folder).as_posix())
@@ -186,7 +189,7 @@ class Store:
         return aside
 
     def sweep(self) -> None:
-        """Remove what a killed run left unfinished: temporary files, a line of the digests that was cut."""
+        """Removal of unfinished files of a killed run: temporary files, and an incomplete line of the digests."""
         with self._writing():
             for folder in (self.folder, *self.folder.glob(f"{ROWS}/cell-*")):
                 settle(place_in(self.folder, folder.relative_to(self.folder).as_posix()))
@@ -197,14 +200,14 @@ class Store:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep others from working in the folder at the same time; the lock ends with the process, however it ends."""
+        """Context that excludes other processes from the folder; the lock ends with the process in any case."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self.folder / LOCK, blocking=False)
             try:
                 lock.acquire()
             except Timeout:
-                raise SetupError(f"{self.folder}: another campaign is at work in this folder; wait for it") from None
+                raise SetupError(f"{self.folder}: another campaign runs in this folder; wait until it ends") from None
         try:
             yield
         finally:
@@ -219,7 +222,7 @@ class Store:
             reason = "the disk is full" if full else f"cannot be written ({problem.strerror or problem})"
             cure = "free some space" if full else "make it writable"
             raise SetupError(
-                f"{self.folder}: {reason}; finished shards are kept: {cure} and go on with --resume"
+                f"{self.folder}: {reason}; finished shards are kept: {cure} and continue with --resume"
             ) from None
 
 
@@ -238,6 +241,6 @@ def _digest(path: Path) -> str:
 
 
 def literal(path: Path) -> str:
-    """A path as SQL takes it, its brackets and stars no pattern."""
+    """Path for SQL, with brackets and asterisks not interpreted as patterns."""
     plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
     return "'" + plain.replace("'", "''") + "'"

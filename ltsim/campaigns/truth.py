@@ -1,7 +1,7 @@
-"""The truth of a cell of a campaign, and its trials drawn block by block as the simulator draws them.
+"""Truth of a campaign's cell, and its trials, drawn in blocks exactly as by the simulator.
 
-A trial depends on its number alone: not on the workers, not on how many trials are wanted, not on the methods that
-are compared. Cells of a grid use the same streams: they differ by their settings, not by luck.
+A trial depends on its number alone, and not on workers, number of trials or compared methods. Cells of a grid use the
+same random streams: they differ by their settings and not by chance.
 """
 
 from __future__ import annotations
@@ -26,38 +26,38 @@ from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import Draw, EffectLaw, Normal, TrialDraws
+from ltsim.simulation.draws import Draw, EffectDistribution, NormalSource, TrialDraws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
 from ltsim.simulation.physics import nominal_noise, resolution_of
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import error_free, mistakes, population_of, simulate_readings
+from ltsim.simulation.simulator import blunders_in, error_free, population_of, simulate_readings
 from ltsim.simulation.workshop import Layout
 
 TURN = 2 * np.pi
-LINEAR = 1e-3
-"""Share of a reading's sigma by which an effect may miss its linear form and still be treated as linear."""
+MAX_NONLINEARITY = 1e-3
+"""Largest deviation of an effect from its linear form, in sigmas of a reading, at which it is treated as linear."""
 
 
 @dataclass(frozen=True)
-class Block:
-    """Trials as drawn; the last index is the trial."""
+class TrialBatch:
+    """Block of drawn trials; the last index is the trial."""
 
     trials: Ints
-    """(B,): their numbers."""
+    """Numbers of the trials, (B,)."""
     values: Floats
-    """(I, p, B) [SI]: true instrument parameters."""
+    """True instrument parameters, (I, p, B) [SI]."""
     amounts: tuple[Floats, ...]
-    """(q, B) [SI]: true parameters of each further effect."""
+    """True parameters of each additional effect, (q, B) [SI]."""
     deviation: Floats
-    """Readings less nominal readings, (n, 3, B) [m, rad, rad]."""
+    """Readings minus nominal readings, (n, 3, B) [m, rad, rad]."""
     gauge_error: Floats
-    """Stated less true lengths, (g, B) [m]."""
-    alone: tuple[Block, ...] = ()
-    """Single trials, each in the order of its pointings, where each has a separate geometry."""
+    """Declared minus true reference lengths, (g, B) [m]."""
+    alone: tuple[TrialBatch, ...] = ()
+    """Single trials, each in the order of its pointings, if geometries differ."""
 
     @property
     def true_values(self) -> Floats:
-        """(I p + q, B) [SI]: all true parameters, instrument after instrument, then those of the effects."""
+        """All true parameters, instrument by instrument and then effects, (I p + q, B) [SI]."""
         return np.concatenate([self.values.reshape(-1, len(self.trials)), *self.amounts])
 
 
@@ -68,19 +68,19 @@ class CellTruth:
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: State
-    """True poses and targets, in the frame in which a calibrator starts (that of the first station)."""
+    """True poses and targets in the start frame of a calibrator, that of the first station."""
     population: TrialDraws
-    """Distributions of the values drawn in a trial; its sightings may be in any frame."""
+    """Distributions of the random values of a trial; its sightings may be in another frame."""
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """Resolution of the readings; 0 for none, (I, 3) [m, rad, rad]."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """(3,): True for those of range, azimuth and elevation that are recorded; the others do not deviate."""
+    """Flags (3,) of the observables (range, azimuth, elevation) that are recorded; the others have no deviation."""
     work: Fieldwork | None = None
-    """Fieldwork in which blunders are made: trials with blunders are simulated one by one."""
+    """True geometry on which blunders are simulated: trials with blunders are computed one by one."""
 
     @property
     def sightings(self) -> Sightings:
-        """True geometry of the pointings, nests and all, in any frame."""
+        """True geometry of the pointings including nests, in any frame."""
         return self.population.sightings
 
     @property
@@ -89,13 +89,16 @@ class CellTruth:
         return self.population.construction
 
     @property
-    def effects(self) -> tuple[EffectLaw, ...]:
-        """Physics beyond the instrument's errors."""
+    def effects(self) -> tuple[EffectDistribution, ...]:
+        """Effects in addition to the instrument's errors."""
         return self.population.effects
 
     @cached_property
     def design_of(self) -> Callable[[tuple[Effect, ...]], Floats]:
-        """Change (n, 3, q, 1) or, where geometries differ, (n, 3, q, B) of the readings per unit of effects."""
+        """Function for the change (n, 3, q, 1) of the readings per unit of effects.
+
+        It is (n, 3, q, B) if geometries differ.
+        """
         return lru_cache(maxsize=8)(self._design_of)
 
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
@@ -103,12 +106,12 @@ class CellTruth:
 
     @cached_property
     def reflectors(self) -> dict[str, Bools]:
-        """Mask (n,) of the pointings to each reflector, by its name; '' where none is named."""
+        """Flags (n,) of the pointings to each reflector, by its name; '' for an unnamed one."""
         names = smrs_of(self.recording)
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, reflectors: Mapping[str, Floats]) -> Floats:
-        """Range errors (n, B) [m] by parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
+        """Range errors (n, B) [m] for parameters (14, B) [SI] of `smr-incidence` of each reflector, by its name."""
         total = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflectors.items():
             if name in reflectors:
@@ -123,7 +126,7 @@ class CellTruth:
         return []
 
     def chain_of(self, construction: Construction) -> tuple[ChainProgram, Floats]:
-        """A construction's chain around the nominal readings, and their derivative (n, 3, p) by its parameters."""
+        """Kinematic chain about the nominal readings, and derivative (n, 3, p) of the readings by its parameters."""
         for other, chain in self._chains:  # comparing a few is quicker than hashing one
             if other == construction:
                 return chain
@@ -136,35 +139,41 @@ class CellTruth:
         return ChainProgram.of(construction, nominal), by_value
 
     def program_of(self, construction: Construction) -> ChainProgram:
-        """A construction's chain around the nominal readings."""
+        """Kinematic chain of a construction about the nominal readings."""
         return self.chain_of(construction)[0]
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
-        """Constant part (n, 3) and design (n, 3, q) of each effect; None where it is not linear."""
+        """Constant part (n, 3) and design (n, 3, q) of each effect; None for a nonlinear one."""
         return [self._linear(entry) for entry in self.effects]
 
-    def _linear(self, entry: EffectLaw) -> tuple[Floats, Floats] | None:
+    def _linear(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
         constant = entry.effect.shift(self.sightings, entry.mean)
         if not np.any(entry.sigma):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(entry.mean)))
         design = entry.effect.design(self.sightings)
         probe = entry.mean + 3 * entry.sigma
         miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
-        return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.recording.sigma()) else None
+        return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw(self, seed: int, number: int, width: int = BLOCK) -> Block:
-        """Draw the trials from ``width * number`` on."""
-        return self.drawn(Normal(seed, width * number + np.arange(width)))
+    def draw(self, seed: int, number: int, width: int = BLOCK) -> TrialBatch:
+        """Trials from number ``width * number`` on, as a block."""
+        return self.drawn(NormalSource(seed, width * number + np.arange(width)))
 
-    def drawn(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Block:
-        """Draw trials; `values` (I, p, B) [SI] are given errors of the instruments, `stream_key` as of `TrialDraws`."""
+    def drawn(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> TrialBatch:
+        """Block of the trials with these numbers.
+
+        `values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDraws`.
+        """
         draw = self.population.draw(numbers, values, stream_key=stream_key)
         return self.read(draw, self._exact(draw.values))
 
-    def read(self, draw: Draw, deviation: Floats) -> Block:
-        """The block of a draw whose exact readings less nominal ones are `deviation` (n, 3, B), reused."""
-        if mistakes([law.effect for law in self.effects], draw.amounts):
+    def read(self, draw: Draw, deviation: Floats) -> TrialBatch:
+        """Block of a draw.
+
+        `deviation` (n, 3, B) are its exact readings minus nominal ones, overwritten by the result.
+        """
+        if blunders_in([law.effect for law in self.effects], draw.amounts):
             deviation = self._with_mistakes(draw)
         else:
             for place, amounts in enumerate(draw.amounts):
@@ -173,10 +182,10 @@ class CellTruth:
             deviation = self._quantised(deviation)
         lengths = self.population.lengths
         gauge_error = draw.certified * lengths.factor[:, None] - lengths.length[:, None]
-        return Block(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
+        return TrialBatch(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
 
     def _with_mistakes(self, draw: Draw) -> Floats:
-        """Readings less nominal ones (n, 3, B), trial by trial as the simulator makes them."""
+        """Readings minus nominal readings (n, 3, B), trial by trial as the simulator computes them."""
         assert self.work is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):
@@ -187,7 +196,7 @@ class CellTruth:
         return np.stack(parts, axis=2)
 
     def _exact(self, values: Floats) -> Floats:
-        """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""
+        """Exact readings of the true instrument minus nominal readings, by Newton's method from the linear ones."""
         which, sightings = self.recording.instrument, self.sightings
         program, by_value = self.chain_of(self.construction)
         deviation = np.empty((len(which), 3, values.shape[2]))
@@ -197,7 +206,7 @@ class CellTruth:
         return deviation
 
     def _shift(self, place: int, amounts: Floats) -> Floats:
-        """Shift (n, 3, B) of the readings by one effect."""
+        """Change (n, 3, B) of the readings by one effect."""
         entry, linear = self.effects[place], self._linear_effects[place]
         if linear is None:
             return np.stack([entry.effect.shift(self.sightings, v) for v in amounts.T], axis=2)
@@ -205,7 +214,7 @@ class CellTruth:
         return constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
 
     def _quantised(self, deviation: Floats) -> Floats:
-        """Deviations (n, 3, B) that make whole steps of the readings, in place."""
+        """Deviations (n, 3, B) that give readings rounded to the resolution, in place."""
         of_row = np.broadcast_to(self.step[self.recording.instrument], deviation.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
@@ -214,8 +223,8 @@ class CellTruth:
             deviation[selected, column] = step * np.round((start + deviation[selected, column]) / step) - start
         return deviation
 
-    def readings(self, block: Block, trial: int) -> Floats:
-        """Readings (n, 3) of one trial of a block as an instrument gives them, azimuths within +-180 deg."""
+    def readings(self, block: TrialBatch, trial: int) -> Floats:
+        """Readings (n, 3) of one trial of a block as from an instrument, with azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.deviation[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < TURN, wrap(readings[:, 1]), readings[:, 1])
         readings[:, ~self.recorded] = np.nan
@@ -225,18 +234,17 @@ class CellTruth:
 def truth_of(
     scenario: Scenario, seed: int, *key: str | int, like: CellTruth | None = None, plan: Layout | None = None
 ) -> CellTruth:
-    """The truth of a scenario with its geometry drawn once; raises SetupError.
+    """Truth of a scenario with a geometry that is drawn once; raises SetupError.
 
-    `key` is of the geometry; without it that of the recording which `simulate` makes. A truth `like` it, of the same
-    scenario with another geometry, saves stating the set-up anew where the same targets are seen; `plan` is the
-    scenario's.
+    `key` is the stream key of the geometry; default that of `simulate`. `like`, a truth of the same scenario with
+    another geometry, provides the set-up if the same targets are visible; `plan` is the planned layout.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
     if len(read) > 1:
-        raise SetupError("instruments: observables differ between the trackers; trials want the same of all")
+        raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
     work = fieldwork(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
-        raise SetupError("reflectors: trials in batch measure with one SMR; give all SMRs of the scenario one radius")
+        raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
     s, reference = work.sightings, None if like is None else like.recording
     if (
         like
@@ -264,7 +272,7 @@ def truth_of(
 
 
 def _start_frame(work: Fieldwork, mean: Floats) -> State:
-    """The true geometry in the frame of the first station, or in the workshop's where levels define the vertical."""
+    """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
     s = work.sightings
     if any(station.levelled for station in work.scenario.stations.values()):
         return State(s.position, s.rotation, s.points, mean)

@@ -1,4 +1,4 @@
-"""Many trials over a grid of settings."""
+"""Public function of campaigns: many trials over a grid of settings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def campaign(
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
 ) -> Results:
-    """Simulate, calibrate and judge many trials; the rows are kept in a folder whatever stops it.
+    """Simulation, calibration and evaluation of many trials, with rows in a folder that survive interruptions.
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ def campaign(
     check_mapping("changes", changes)
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
-        raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
+        raise SetupError("a campaign without a file needs a folder for its rows: out=...")
     path = Path("the campaign") if isinstance(source, Mapping) else source_path(source)
     if tables is None and path.is_dir():
         if out is not None or resume or force or changes:
-            raise SetupError(f"{path}: rows of a campaign are only opened: to run it, give {path / 'campaign.toml'}")
+            raise SetupError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
         return Results(path)
     folder = path.with_suffix("") if out is None else Path(out)
     run_campaign(

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
     from ltsim.recordings import Recording
 
-LEAST_SHOWN = 0.005
-"""[um, arcsec] Change of readings from which a correction is reported as one: half of its last digit."""
+MIN_SHOWN = 0.005
+"""Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Rejected = Annotated[
     bool, typer.Option("--rejected", help="Also use a calibration whose readings contradict its model.")
@@ -105,7 +105,7 @@ def correct(
     distance, azimuth, elevation = largest
     sizes = f"up to {distance:.1f} um in distance, {azimuth:.2f} arcsec in azimuth, {elevation:.2f} arcsec in elevation"
     applied = f"{len(recording)} pointings corrected by {sizes}"
-    terminal.say(applied if np.any(largest >= LEAST_SHOWN) else "no correction was applied: the readings do not change")
+    terminal.say(applied if np.any(largest >= MIN_SHOWN) else "no correction was applied: the readings do not change")
     terminal.say(f"written to {out}")
 
 
@@ -164,7 +164,7 @@ def _fitted(
     terminal: ResultTerminal,
     options: dict[str, Any],
 ) -> None:
-    """Fit, write and print; a calibration replaces only a calibration, an adjustment only an adjustment."""
+    """Common part of `adjust` and `calibrate`: fit, writing and output; each replaces only its own earlier results."""
     from ltsim.adjustment.joint import COVARIANCE
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
@@ -191,7 +191,7 @@ def _judged(terminal: ResultTerminal, criteria: Criteria) -> None:
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
-    """The calibration in a file; its notes are printed; raises RecordError."""
+    """Calibration from a file, with its notes printed; raises RecordError."""
     from ltsim.calibration.files import read_calibration
 
     calibration = read_calibration(path)
@@ -206,7 +206,8 @@ HeldOut = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
-        help="5-fold cross-validation: search without each fifth of the readings and predict it; default: if small.",
+        help="5-fold cross-validation: five searches without one fifth of the readings, which they predict; "
+        "default: for small recordings.",
     ),
 ]
 
@@ -296,7 +297,7 @@ def history(
 def _opened(
     terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
-    """A calibration, a recording, or each of its set-ups, by label."""
+    """Calibrations or recordings by label; with `each_set_up`, one recording per set-up."""
     from ltsim.calibration.calibration import Calibration
 
     file = Calibration.FILE

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ltsim.campaigns.results import Results
 
 
-AGREED = 1e-3
+MAX_BATCH_DIFFERENCE = 1e-3
 """Largest allowed difference [sigma] of the batch solver from the full one."""
 
 
@@ -98,7 +98,11 @@ def campaign(
     if not terminal.silent:
         terminal.say(campaign_section(folder).text())
         terminal.say(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
-    failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
+    failures = [
+        disagreement(e, results)
+        for e in summary["ends"]
+        if (e["largest_difference_sigma"] or 0.0) > MAX_BATCH_DIFFERENCE
+    ]
     for failure in failures:
         streams.write(failure, sys.stderr)
     return 1 if failures else 0
@@ -109,7 +113,8 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
     cell = results.manifest.cells[end["cell"]].label
     return (
         f"cell {end['cell'] + 1} ({cell}), {end['method']}: the batch solver differs from the full one by up to "
-        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, limit {AGREED:g}; "
+        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, "
+        f"limit {MAX_BATCH_DIFFERENCE:g}; "
         'set solver = "single" for the method to use the full solver'
     )
 
@@ -130,7 +135,7 @@ JunitFile = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."), FILE
 ]
 MODES = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
-FEW = 100
+FEW_TRIALS = 100
 """Number of trials below which one process is faster than several."""
 
 
@@ -156,7 +161,7 @@ def recover(
     from ltsim.campaigns.recovery_trials import TRIALS
 
     terminal.check_overwrite(Recovery, TRIALS.file)
-    workers = (1 if options["trials"] < FEW else os.cpu_count() or 1) if jobs is None else jobs
+    workers = (1 if options["trials"] < FEW_TRIALS else os.cpu_count() or 1) if jobs is None else jobs
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
     result = terminal.write(result, lambda: {TRIALS.file: result.table("trials").csv()})

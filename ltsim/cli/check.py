@@ -31,16 +31,16 @@ MpeOption = Annotated[
     typer.Option(
         "--mpe",
         metavar="A,B",
-        help="Limit of two-face differences as lengths, A um + B um/m of the range; default from the noise and the "
+        help="Limit of two-face differences as lengths, A um + B um per metre of range; default from the noise and the "
         "specification of the instrument.",
     ),
 ]
 Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows, and report problems at once.")]
 AcceptFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
 Template = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
-BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
-POLL = 1.0
-"""Time [s] between two looks at the files of a growing recording."""
+BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
+POLL_INTERVAL = 1.0
+"""Interval [s] between two checks of the files of a growing recording."""
 
 
 def check(
@@ -83,7 +83,7 @@ def check(
 
 
 def mpe_of(text: str | None) -> tuple[float, float] | None:
-    """The limit `A,B` in um and um/m; raises RecordError unless A > 0 and B >= 0 are numbers."""
+    """Limit `A,B` in um and um/m as numbers; raises RecordError unless A > 0 and B >= 0. None if not given."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
@@ -93,14 +93,14 @@ def mpe_of(text: str | None) -> tuple[float, float] | None:
 
 
 def changes(source: Path) -> Iterator[None]:
-    """Endless iterator with one step at once and one whenever the recording's files have changed."""
+    """Iterator that yields at once and then whenever a file of the recording has changed."""
     last: tuple[tuple[str, int, int], ...] | None = None
     while True:
         now = _state(source)
         if now != last:
             last = now
             yield
-        time.sleep(POLL)
+        time.sleep(POLL_INTERVAL)
 
 
 def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
@@ -116,7 +116,7 @@ def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None]) -> None:
-    """Check at every step and report changes: new failures, and the return to go.
+    """Repeated check of a growing recording, with reports of changes: new failures, and the return to go.
 
     A file that cannot be read or checked yet is tried again at the next step; each reason is reported once.
     """
@@ -230,7 +230,7 @@ def compare(
 
 
 def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
-    """A list of coordinates, with its notes and size printed; a path to another file is returned."""
+    """List of coordinates from a path, with its notes and size printed; the path of any other file."""
     from ltsim.recordings.coordinates import holds_coordinates, read_coordinates
 
     if not holds_coordinates(path):
@@ -295,7 +295,7 @@ def uncertainty(
 def _recording(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, in_file: bool
 ) -> Recording | Coordinates | Path:
-    """The recording of the tasks, simulated for a scenario, or a list of coordinates."""
+    """Recording of the tasks (simulated for a scenario), or a list of coordinates."""
     from ltsim.recordings.coordinates import holds_coordinates
 
     name = tasks.source

@@ -31,7 +31,7 @@ TRY = {
 
 
 def example_text(name: str) -> str:
-    """The content of an example file."""
+    """Content of an example file."""
     if name == "workshop.toml":
         return builtin_text("paper-workshop")
     package = files("ltsim")

@@ -1,4 +1,4 @@
-"""The command `ltsim`: its verbs, exit statuses and error messages."""
+"""Entry point `ltsim`: its commands, exit statuses and error messages."""
 
 import errno
 import gc
@@ -42,16 +42,16 @@ VERBS = {
     "convert": ("convert", "convert a recording between formats"),
     "effects": ("effects", "the catalogue of physical effects"),
     "inject": ("simulate", "add the effect of a fault to a recording; test whether it is detected"),
-    "diagnose": ("adjustment", "test whether recording and model agree; locate and name what does not"),
+    "diagnose": ("adjustment", "test whether recording and model agree; locate and name the causes"),
     "history": ("adjustment", "an instrument's parameters over several calibrations"),
     "plan": ("plan", "plan stations and reflectors, or the next measurement"),
     "report": ("view", "write one offline page about a folder of results"),
     "uncertainty": ("check", "uncertainty of lengths, circles, poses: budget and verdict"),
     "accept": ("check", "acceptance tests of a tracker: predicted or evaluated"),
-    "bench": ("check", "a reflector's range error against incidence from its bench test"),
+    "bench": ("check", "range error of a reflector against incidence, from a bench test"),
     "view": ("view", "show the workshop in 3D"),
 }
-"""Module and line of help of each verb."""
+"""Module and help line of each command."""
 SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
@@ -60,24 +60,24 @@ SETTINGS: dict[str, Any] = {
 
 
 def verb_of(name: str) -> Callable[..., Any]:
-    """Function of a verb; its module is imported on first use."""
+    """Function of a command; its module is imported on first use."""
     function: Callable[..., Any] = getattr(import_module(f"ltsim.cli.{VERBS[name][0]}"), name)
     return function
 
 
 class Verbs(TyperGroup):
-    """Group of verbs that are imported on first use, so that help and light verbs start fast."""
+    """Group of commands that are imported on first use, so that help and simple commands start fast."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = dict.fromkeys(VERBS)  # type: ignore[assignment]  # names to suggest; `get_command` loads
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names of the verbs in the order of the help."""
+        """Names of the commands in the order of the help."""
         return list(VERBS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Command of a verb; None for an unknown name."""
+        """Command by its name; None for an unknown name."""
         if cmd_name not in VERBS:
             return None
         verb = typer.Typer(add_completion=False, **SETTINGS)
@@ -85,7 +85,7 @@ class Verbs(TyperGroup):
         return typer.main.get_command(verb)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write one line per verb."""
+        """Help with one line per command."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, about) for name, (_, about) in VERBS.items()])
 
@@ -94,7 +94,7 @@ app = typer.Typer(cls=Verbs, name="ltsim", no_args_is_help=True, **SETTINGS)
 
 
 def show_version(asked: bool) -> None:
-    """Print the version and stop."""
+    """Output of the version, after which the program ends."""
     if asked:
         from importlib.metadata import version
 
@@ -115,8 +115,8 @@ def ltsim(version: Version = False) -> None:
 def run(arguments: Sequence[str]) -> int:
     """Exit status of the command, run with `arguments`.
 
-    0 done, 1 a check failed, 2 bad input or bad usage (one sentence on standard error), 70 an internal error
-    (with a traceback), 130 interrupted.
+    0 done, 1 a check failed, 2 invalid input or usage (one sentence on standard error), 70 an internal error (with a
+    traceback), 130 interrupted.
     """
     try:
         with options_are_flags():

@@ -1,8 +1,8 @@
 """Output files and folders, checked before a verb begins: write permission, and files that would be replaced.
 
-Without --force a verb writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
-files of the same verb. An option or argument for an output has an `OutputPlace` in its annotation; `command_of` applies
-its rule before it calls the verb.
+Without --force a command writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
+files of the same command. An option or argument for an output has an `OutputPlace` in its annotation; `command_of`
+applies its rule before it calls the command.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Force = Annotated[
 ]
 GENERATOR = '<meta name="generator" content="ltsim'
 """Text by which a page written by ltsim is recognised."""
-HEAD = 4096
+SEARCHED_BYTES = 4096
 """Bytes of a file that are searched for the mark of ltsim."""
 LTSIM_FILE = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
 """Pattern at the beginning of a file of ltsim, written by it or for it."""
@@ -44,7 +44,7 @@ class OutputPlace:
 
 
 def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bool) -> None:
-    """Apply the rules of the outputs; raises RecordError, and SetupError for two options with the same path."""
+    """Check of the outputs by their rules; raises RecordError, and SetupError for two options with the same path."""
     names: dict[str, str] = {}
     for name, path, output in outputs:
         output.rule(path, force)
@@ -59,7 +59,7 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bo
 
 
 def _names_of_results() -> set[str]:
-    """Fixed names of result files; the name of a truth is an option."""
+    """Fixed names of result files; the name of a truth file is an option."""
     from ltsim.recordings.native import OBSERVATIONS
     from ltsim.reports.schemas import FILES, TABLES
 
@@ -76,11 +76,11 @@ def check_overwrite(
     force: bool,
     same_verb: Callable[[Any], bool] = lambda result: True,
 ) -> None:
-    """Make sure that a result and the files beside it replace nothing but an older result of the same verb.
+    """Check that a result and its companion files replace only an older result of the same command; raises RecordError.
 
-    The folder (None where nothing is to be written) is new, empty or holds what commands of ltsim wrote, and folders;
-    `force` replaces whatever is there. `own` says whether a result that is there comes from this verb, where several
-    verbs write the same file. Raises RecordError.
+    The folder (None for no output) must be new, empty or contain only folders and files written by ltsim; `force`
+    permits any content. `same_verb` tells whether an existing result is from this command, if several commands write
+    the same file.
     """
     if folder is None:
         return
@@ -116,7 +116,7 @@ def _taken(folder: Path, names: Iterable[str]) -> list[str]:
 
 
 def check_recording(folder: Path, force: bool) -> None:
-    """Raise RecordError if a recording would replace another one or lie among files of others."""
+    """Check that a recording neither replaces another one nor is written among other files; raises RecordError."""
     from ltsim.recordings.native import OBSERVATIONS, SETUP
 
     taken = _taken(folder, (OBSERVATIONS, SETUP))
@@ -128,7 +128,7 @@ def check_recording(folder: Path, force: bool) -> None:
 
 
 def check_empty(folder: Path, force: bool) -> None:
-    """Raise RecordError unless the folder is new or empty."""
+    """Check that the folder is new or empty; raises RecordError."""
     check_writable(folder, folder=True)
     if folder.is_dir() and not force:
         taken = sorted(p.name for p in folder.iterdir())
@@ -137,19 +137,22 @@ def check_empty(folder: Path, force: bool) -> None:
 
 
 def check_file(file: Path, force: bool) -> None:
-    """Raise RecordError if a file exists, except for a page that ltsim wrote."""
+    """Check that a file does not exist, except for a page written by ltsim; raises RecordError."""
     check_writable(file, folder=False)
     if force or not os.path.lexists(file) or is_device(file):
         return
     if file.is_file() and file.suffix == ".html":
         with file.open("rb") as stream:
-            if GENERATOR.encode() in stream.read(HEAD):
+            if GENERATOR.encode() in stream.read(SEARCHED_BYTES):
                 return
     raise RecordError("exists already; choose another name, or replace it with --force", file=file)
 
 
 def _refuse_foreign(folder: Path) -> None:
-    """Raise RecordError if a folder holds files that ltsim did not write; hidden files and folders are ignored."""
+    """Check that a folder contains only files written by ltsim (hidden files and folders are ignored).
+
+    Raises RecordError.
+    """
     from ltsim.recordings.native import OBSERVATIONS, SETUP
 
     files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
@@ -169,7 +172,7 @@ def _answered_for(file: Path) -> set[str]:
 
     try:
         with file.open("rb") as stream:
-            if not LTSIM_FILE.search(stream.read(HEAD).decode("latin-1")):
+            if not LTSIM_FILE.search(stream.read(SEARCHED_BYTES).decode("latin-1")):
                 return set()
         companions = read_json(file, "result").get("files") if file.suffix == ".json" else None
     except (OSError, RecordError):
@@ -187,6 +190,6 @@ def _refuse(folder: Path, taken: list[str]) -> None:
 
 FILE, RECORDING, EMPTY = OutputPlace(check_file), OutputPlace(check_recording), OutputPlace(check_empty)
 FOLDER = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
-"""Output folder whose verb checks the files that it replaces."""
+"""Output folder whose command checks the files that it replaces."""
 ANYWHERE = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))
 """Output file or folder, depending on other options."""

@@ -36,14 +36,14 @@ NominalFile = Annotated[
     FILE,
 ]
 PerTrial = Annotated[
-    bool, typer.Option("--per-trial", help="Draw stations and targets anew, as in a campaign with geometry per trial.")
+    bool, typer.Option("--per-trial", help="Draw new stations and targets, as in a campaign with geometry per trial.")
 ]
 Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
 Causes = Annotated[
     list[str],
     typer.Argument(
         metavar="EFFECT...",
-        help="Effects of the catalogue, or laws as 'CARRIER ~ DRIVER', each with :STATION,TARGET,CONSTANT=VALUE,"
+        help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR', each with :STATION,TARGET,CONSTANT=VALUE,"
         "PARAMETER=VALUE; values that are not given are drawn.",
     ),
 ]
@@ -56,7 +56,7 @@ PutIn = Annotated[
     FILE,
 ]
 Curve = Annotated[
-    bool, typer.Option("--curve", help="Inject it at six strengths; report the shares detected, located and named.")
+    bool, typer.Option("--curve", help="Inject it at six strengths; report the fractions detected, located and named.")
 ]
 
 
@@ -162,7 +162,7 @@ def _curve(
 
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything."), EMPTY]
 
-HIDDEN: tuple[dict[str, Any], ...] = tuple(
+DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
@@ -239,7 +239,7 @@ def diagnosed(out: Path, seed: int) -> str:
     from ltsim.core.randomness import stream
     from ltsim.physics.effects import title_of
 
-    entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
+    entry = DEMO_EFFECTS[int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
     folder = out / "concealed"
     diagnosis = lt.diagnose(recording, seed=seed, held_out=True)

@@ -1,4 +1,4 @@
-"""Standard output and standard error, which may be closed, full, without a reader, or in any encoding."""
+"""Standard output and error streams that may be closed, full, without reader, or in any encoding."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ _DROPPED: set[int] = set()
 
 
 def prepare() -> None:
-    """Prepare the standard streams of this process for printing.
+    """Preparation of the standard streams of this process for output.
 
     A closed stream is replaced by the null device, so that no other file takes its number. Characters that the encoding
     lacks are printed as escapes. Warnings are shown only with `-W` or PYTHONWARNINGS.
@@ -45,13 +45,13 @@ def reader_is_gone() -> bool:
 
 
 def write(text: str, stream: IO[str]) -> None:
-    """Print a text with control characters replaced; raises OSError if standard output cannot be written."""
+    """Output of a text with control characters replaced; raises OSError if standard output cannot be written."""
     with _lost(stream):
         print(printable(text), file=stream)
 
 
 def flush() -> None:
-    """Flush both streams; raises OSError if standard output cannot be written."""
+    """Flush of both streams; raises OSError if standard output cannot be written."""
     for stream in (sys.stdout, sys.stderr):
         with _lost(stream):
             stream.flush()
@@ -69,7 +69,7 @@ def _lost(stream: IO[str]) -> Iterator[None]:
 
 
 def drop(stream: IO[str]) -> None:
-    """Redirect a stream to the null device, so that Python does not fail at exit."""
+    """Redirection of a stream to the null device, so that Python does not fail at exit."""
     _DROPPED.add(stream.fileno())
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())

@@ -1,4 +1,4 @@
-"""Terminal output of a verb: text, JSON, and progress."""
+"""Terminal output of a command: text, JSON and progress."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
 
 File = TypeVar("File", bound="ResultFile")
-SILENCE = 10.0
+PROGRESS_DELAY = 10.0
 """Time [s] after which a pipe receives a line of progress."""
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Output of one verb."""
+    """Terminal output of one command."""
 
     quiet: Quiet = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print only the answer, as JSON.")] = False
 
     @property
     def silent(self) -> bool:
@@ -39,33 +39,33 @@ class Terminal:
         return self.quiet or self.as_json
 
     def say(self, text: str = "") -> None:
-        """Print a line of text, unless silent."""
+        """Output of a line of text, unless silent."""
         if not self.silent:
             streams.write(text, sys.stdout)
 
     def show(self, text: str) -> None:
-        """Print requested output even if silent: a file to edit, an address."""
+        """Output that is printed even if silent: a file to edit, an address."""
         streams.write(text.removesuffix("\n"), sys.stdout)
 
     def print_now(self, text: str, *, bell: bool = False) -> None:
-        """Print a line without buffering, with a bell on a terminal if asked for."""
+        """Unbuffered output of a line, optionally with a bell on a terminal."""
         if bell and not self.silent and sys.stdout.isatty():
             print("\a", end="")
         self.say(text)
         streams.flush()
 
     def note(self, text: str) -> None:
-        """Print a remark on standard error."""
+        """Output of a remark on standard error."""
         if not self.quiet:
             streams.write(text, sys.stderr)
 
     def notes(self, notes: Iterable[str]) -> None:
-        """Print notes on standard error: interpretations of ambiguous input, and missing data."""
+        """Output of notes on standard error: interpretations of ambiguous input, and missing data."""
         for note in notes:
             self.note(f"note: {note}")
 
     def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """Print a result: as JSON, or as the text of its section in a page, without pictures."""
+        """Output of a result: as JSON, or as the text of its section of the page without figures."""
         self.answer(content.content())
         if not self.silent:
             from ltsim.reports.sections import section_of  # slow to import
@@ -75,12 +75,12 @@ class Terminal:
         self.written(out)
 
     def written(self, out: Path | None) -> None:
-        """Print the folder of the results and the command that shows them."""
+        """Output of the result folder and of the command that displays it."""
         if out is not None:
             self.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
 
     def answer(self, content: Any) -> None:
-        """Print the answer as JSON, if asked for."""
+        """Output of the result as JSON, if requested."""
         if self.as_json:
             streams.write(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
 
@@ -103,14 +103,14 @@ class Terminal:
 
     @contextmanager
     def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:
-        """Lines of progress on standard error, after `SILENCE` seconds and whenever the time has doubled."""
+        """Lines of progress on standard error, after `PROGRESS_DELAY` seconds and whenever the time has doubled."""
         if self.quiet:
             yield
             return
         began, done = time.monotonic(), threading.Event()
 
         def tell() -> None:
-            wait = SILENCE
+            wait = PROGRESS_DELAY
             while not done.wait(wait):
                 wait = time.monotonic() - began
                 self.note(f"{words()} ({wait:.0f} s)")
@@ -127,7 +127,7 @@ class Terminal:
 
 @dataclass(frozen=True)
 class ResultTerminal(Terminal):
-    """Terminal of a verb that writes its results to a folder."""
+    """Terminal of a command that writes its results to a folder."""
 
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to."), FOLDER
@@ -137,15 +137,15 @@ class ResultTerminal(Terminal):
     def check_overwrite(
         self, model: type[ResultFile], *names: str, same_verb: Callable[[Any], bool] = lambda result: True
     ) -> None:
-        """Raise RecordError if a result and its companion files would replace other files."""
+        """Check that a result and its companion files would not replace other files; raises RecordError."""
         check_overwrite(self.out, model, names, force=self.force, same_verb=same_verb)
 
     def write(self, content: File, companions: Callable[[], Mapping[str, str | bytes]] = dict) -> File:
-        """Write a result and its companion files, if there is a folder; returns the written result."""
+        """Result as written with its companion files, if there is a folder; otherwise the result itself."""
         from ltsim.recordings.result_file import write_result
 
         return content if self.out is None else write_result(self.out, content, companions())
 
     def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """Print a result and the folder to which it was written."""
+        """Output of a result and of the folder to which it was written."""
         super().result(content, out or self.out, notes)

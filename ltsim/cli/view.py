@@ -20,7 +20,7 @@ from ltsim.recordings.setup import About
 
 
 def check_page(folder: Path, force: bool) -> None:
-    """Raise RecordError if the page of a folder would replace a file that is not a page of ltsim."""
+    """Check that the page of a folder would not replace a file that is not a page of ltsim; raises RecordError."""
     from ltsim.reports.page import NAME  # slow to import
 
     check_file(folder / NAME, force)
@@ -160,7 +160,7 @@ def report(
 
 
 def _about(**given: str | None) -> About:
-    """The options as header of the page; raises SetupError."""
+    """Header of the page from the options; raises SetupError."""
     try:
         return About.model_validate(given)
     except ValidationError as problem:

@@ -9,28 +9,32 @@ from typing import Any
 
 from ltsim.core.errors import SetupError, option
 
-MOST_JOBS = 256
-"""Largest number of processes."""
+MAX_JOBS = 256
+"""Largest number of worker processes that `jobs` accepts."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
-    "jobs": (1, MOST_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
+    "jobs": (1, MAX_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
+    "every": (1, 10**6),
 }  # fmt: skip
-"""Smallest and largest value by the name of an argument; whole numbers where the smallest is one."""
+"""Smallest and largest permitted value by argument name (None: no upper bound); an integer bound requires whole
+numbers.
+"""
 MOVE_FORM = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
-"""Form of a station at another place."""
+"""Syntax of a moved station, for messages and help."""
 
 
 def range_words(name: str) -> str:
-    """Range of an argument in words: `0 or more`, `1 to 256`."""
+    """Range of an argument as text: `0 or more`, `1 to 256`."""
     low, high = BOUNDS[name]
     number = ",d" if isinstance(low, int) else "g"
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number}}"
 
 
 def check_bounds(*, required: str = "", **given: object) -> None:
-    """Raise SetupError for an argument that is no number of its range.
+    """Check of numeric arguments against `BOUNDS`; raises SetupError for a value out of range.
 
-    None stands for an argument that is not given, except for the `required` ones, names separated by blanks.
+    None means that an argument was not given; it is an error for the arguments in `required`, names separated by
+    blanks.
     """
     for name, value in given.items():
         low, high = BOUNDS[name]
@@ -43,7 +47,7 @@ def check_bounds(*, required: str = "", **given: object) -> None:
 
 
 def bounded(name: str) -> Callable[[object], int | float]:
-    """Parser of an argument on the command line: raises SetupError as `check_bounds`."""
+    """Parser of a numeric argument on the command line; it raises SetupError under the conditions of `check_bounds`."""
     kind = int if isinstance(BOUNDS[name][0], int) else float
 
     def parsed(text: object) -> int | float:
@@ -61,13 +65,13 @@ def bounded(name: str) -> Callable[[object], int | float]:
 
 
 def check_choice(name: str, value: object, choices: Sequence[str], *, optional: bool = False) -> None:
-    """Raise SetupError for an argument that is none of its choices; None is one of an `optional` argument."""
+    """Check that an argument is one of its choices; raises SetupError. None is permitted for an `optional` argument."""
     if value not in choices and not (optional and value is None):
         raise SetupError(f"{option(name)} is {value}, expected {' or '.join(choices)}")
 
 
 def check_mapping(name: str, value: object) -> None:
-    """Raise SetupError for an argument that is neither a mapping nor None."""
+    """Check that an argument is a mapping or None; raises SetupError."""
     if value is not None and not isinstance(value, Mapping):
         raise SetupError(f"{option(name)} is {value}, expected a mapping")
 

@@ -12,11 +12,14 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 AT_ONCE = 4_000_000
-"""Numbers of a temporary array at most: 32 MB."""
+"""Largest number of entries of a temporary array: 32 MB."""
 
 
 def side_by_side(*columns: Floats) -> Floats:
-    """Columns (n, ...) as one array (n, k, ...); three times as fast as `np.stack` for a hundred rows."""
+    """Array (n, k, ...) of k columns (n, ...), joined as a second axis.
+
+    Three times as fast as `np.stack` for a hundred rows.
+    """
     stacked = np.empty((len(columns[0]), len(columns), *columns[0].shape[1:]))
     for k, column in enumerate(columns):
         stacked[:, k] = column
@@ -24,14 +27,17 @@ def side_by_side(*columns: Floats) -> Floats:
 
 
 def median(values: Floats) -> float:
-    """Median of all entries (one at least), NaN if one is NaN; for a hundred in a tenth of `np.median`'s time."""
+    """Median of all entries (at least one); NaN if an entry is NaN.
+
+    For a hundred entries ten times as fast as `np.median`.
+    """
     ordered = np.sort(values, axis=None)
     middle = len(ordered) // 2
     return float(0.5 * (ordered[-1 - middle] + ordered[middle])) if ordered[-1] == ordered[-1] else float("nan")
 
 
 def grouped(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
-    """Rows by key, in the order of the keys."""
+    """Pairs of each distinct key and the rows that have it, in ascending order of the keys."""
     order = rows[np.argsort(keys[rows], kind="stable")]
     values, first = np.unique(keys[order], return_index=True)
     for key, group in zip(values, np.split(order, first[1:]), strict=False):
@@ -48,5 +54,5 @@ def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     if not fits:
         raise ModelError(f"{name} has shape {array.shape}, expected {shape} (-1: any length)")
     if not np.all(np.isfinite(array)):
-        raise ModelError(f"{name} holds a value that is not finite")
+        raise ModelError(f"{name} contains a value that is not finite")
     return array

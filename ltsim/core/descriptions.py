@@ -1,4 +1,4 @@
-"""Descriptions of the fields of pydantic models: the docstrings below the fields, read when they are asked for.
+"""Descriptions of the fields of pydantic models: the docstrings below the fields, read only when they are used.
 
 Pydantic's `use_attribute_docstrings` reads the source of each class when it is created, which takes a tenth of the time
 that a command needs to start; only schemas, tables and pages show descriptions.

@@ -1,4 +1,4 @@
-"""The exceptions of ltsim, and which one to raise when.
+"""Exceptions of ltsim, and the condition under which each is raised.
 
 * `RecordError`: a file or a recording is malformed. One sentence: file, row, column, value, and what would be right.
 * `SetupError`: a scenario, campaign or plan file asks for something impossible.
@@ -21,7 +21,7 @@ class LtsimError(Exception):
 
 
 class RecordError(LtsimError):
-    """A recording or another input file is malformed.
+    """Error in a recording or another input file.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ class RecordError(LtsimError):
 
 
 class SetupError(LtsimError):
-    """A scenario, campaign or plan is impossible; the message says what to change."""
+    """Error in a scenario, campaign, plan or option that cannot be carried out; the message says what to change."""
 
 
 @contextmanager
 def as_setup_error(where: str = "") -> Iterator[None]:
-    """Re-raise RecordError, SetupError and ModelError as SetupError, with the location `where` as prefix."""
+    """Context that re-raises RecordError, SetupError and ModelError as SetupError, with `where` as prefix."""
     try:
         yield
     except (RecordError, SetupError, ModelError) as problem:
@@ -60,38 +60,41 @@ def as_setup_error(where: str = "") -> Iterator[None]:
 
 
 class ModelError(LtsimError):
-    """An argument makes no sense: a shape, a unit, a name."""
+    """Error in an argument of a Python function: a wrong shape, unit or name."""
 
 
 class NetworkError(LtsimError):
-    """The network of a recording cannot be solved; the message names the stations or targets."""
+    """Error for a recording whose network has no unique solution; the message names the stations or targets."""
 
 
 class WorkerError(LtsimError):
-    """A worker process ended before its work was done."""
+    """Error for a worker process that ended before its work was done."""
 
 
 class StoppedError(LtsimError):
-    """The user stopped the work; the message says which results remain and how to continue."""
+    """Error for work that the user interrupted; the message says which results remain and how to continue."""
 
 
 class CalibratorError(LtsimError):
-    """A foreign calibrator ended without a result; the message has its command, status and last line."""
+    """Error for an external calibrator that ended without a result.
+
+    The message has its command, status and last line.
+    """
 
 
 class ConvergenceError(LtsimError):
-    """Raised by `Solution.require_success()`; carries the solution."""
+    """Error for a solver that did not converge, raised by `Solution.require_success()`; it carries the solution."""
 
     def __init__(self, message: str, solution: object) -> None:
         self.solution = solution
         super().__init__(message)
 
 
-LONGEST_NAME = 60
-"""Characters of a name in a message."""
+MAX_NAME_LENGTH = 60
+"""Largest number of characters of a name that is quoted in a message; longer names are shortened."""
 _SPELLED = {"flags": False}
 SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
-"""Flags of the options whose name differs on the command line."""
+"""Command-line spelling of the options that are not named like their Python parameter."""
 
 
 @contextmanager
@@ -117,7 +120,7 @@ def missing_extra(what: str, extra: str) -> SetupError:
 
 
 def require(packages: Sequence[str], what: str, extra: str) -> None:
-    """Raise SetupError, saying what to install, where a package of an extra is missing."""
+    """Check that the packages of an optional extra are installed; raises SetupError that says what to install."""
     if not all(installed(name) for name in packages):
         raise missing_extra(what, extra)
 
@@ -138,6 +141,6 @@ def printable(text: str) -> str:
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ModelError:
     """ModelError for a name that does not exist, with the closest valid ones."""
     choices = sorted(valid)
-    short = printable(name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}...")
+    short = printable(name if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}...")
     close = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
     return ModelError(f"there is no {kind} called '{short}'; did you mean {', '.join(close)}?")

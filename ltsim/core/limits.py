@@ -8,58 +8,83 @@ passes all of them.
 MIB = 1024 * 1024
 
 FILE_BYTES = 32 * MIB
-"""[bytes] Size of a file; a table of 500,000 pointings has 25 MiB."""
+"""Largest size [bytes] of an input file; a table of 500,000 pointings has 25 MiB."""
 LINES = 500_000
-"""Lines of a text file, rows of all sheets of a workbook together: a pointing takes 600 bytes while it is read."""
+"""Largest number of lines of a text file, or of rows of all sheets of a workbook together; a pointing takes 600 bytes
+while it is read.
+"""
 LINE_CHARACTERS = 20_000
-"""Characters of a line: a header of `FIELDS` names of 40 characters."""
+"""Largest number of characters in a line; a header of `FIELDS` names of 40 characters has as many."""
 FIELDS = 500
-"""Columns of a table."""
+"""Largest number of columns in a table."""
 HEADERS = 10_000
-"""Headers of a table, one for each set-up or page: rows between two are converted together, in a millisecond."""
+"""Largest number of header lines in a table, one for each set-up or page; the rows between two are converted together,
+in a millisecond.
+"""
 CELLS = 3_000_000
-"""Cells of all sheets of a workbook together: 80 bytes each."""
+"""Largest number of cells in all sheets of a workbook together, 80 bytes each."""
+
+ADJUSTED_POINTINGS = 60_000
+"""Pointings of a network that is adjusted or checked: a pointing takes 5 kB and 0.5 ms, the libraries 130 MB, or with
+pictures 480 MB."""
+CALIBRATED_POINTINGS = 35_000
+"""Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
+DIAGNOSED_POINTINGS = 8_000
+"""Pointings of a network that is diagnosed, in half a minute: each meets the candidate causes, which takes 170 kB."""
 
 TOML_BYTES = 8 * MIB
-"""[bytes] Size of a TOML file: the parser, written in Python, reads 1 MiB in a second."""
+"""Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
 TOML_DEPTH = 32
-"""Tables, arrays and parts of dotted keys inside each other; the deepest file of ltsim has 6. Time and memory of the
-parser grow with the square of the depth."""
+"""Largest nesting depth of tables, arrays and dotted keys in a TOML file; the deepest file of ltsim has 6. Time and
+memory of the parser grow with the square of the depth.
+"""
 TOML_KEYS = 100_000
-"""Keys and headers of tables: 20,000 points with five keys each. A table takes 2 kB."""
+"""Largest number of keys and table headers in a TOML file: 20,000 points with five keys each. A table takes 2 kB."""
 TOML_VALUES = 400_000
-"""Keys, tables, arrays and commas together: 20,000 points with three coordinates and a covariance each."""
+"""Largest number of keys, tables, arrays and commas in a TOML file: 20,000 points with three coordinates and a
+covariance each.
+"""
 
 JSON_VALUES = 1_500_000
-"""Commas and opening brackets of a JSON file, at most as many values as that: an empty object takes 64 bytes for 3."""
+"""Largest number of commas and opening brackets in a JSON file, an upper bound of its values; an empty object, three
+characters, takes 64 bytes.
+"""
 
 XML_TAGS = 600_000
-"""Tags of an XML file, of which every element has one or two: an element takes 400 bytes."""
+"""Largest number of tags in an XML file; each element has one or two and takes 400 bytes."""
 XML_ATTRIBUTES = 1_000_000
-"""Equals signs of an XML file, at least one for each attribute: an attribute takes 150 bytes."""
+"""Largest number of equals signs in an XML file, an upper bound of its attributes; an attribute takes 150 bytes."""
 XML_DEPTH = 64
-"""Elements inside each other; the deepest format that is read has 8."""
+"""Largest nesting depth of XML elements; the deepest format that is read has 8."""
 TAG_ATTRIBUTES = 1_000
-"""Attributes of one tag, all of which the parser holds before it gives the tag."""
+"""Largest number of attributes in one XML tag; the parser holds all of them before it returns the tag."""
 
 WORKBOOK_BYTES = 16 * MIB
-"""[bytes] Size of all unpacked parts of a workbook, checked by their headers and again while unpacking: a cell
-takes 30 bytes there and 30 us of all that reads it."""
+"""Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
+takes 30 bytes and 30 us of reading time.
+"""
 WORKBOOK_PARTS = 1_000
-"""Parts of a workbook."""
+"""Largest number of parts in a workbook archive."""
 SHEETS = 200
-"""Sheets of a workbook; several may name the same part, which is then read several times."""
+"""Largest number of sheets in a workbook; several sheets may refer to the same part, which is then
+read several times.
+"""
 
 CAD_BYTES = 512 * MIB
-"""[bytes] Size of a CAD file."""
+"""Largest size [bytes] of a CAD file."""
 CAD_MEMORY = 250 * MIB
-"""[bytes] Memory that the process that reads a CAD file takes beyond its libraries, 125 MB; in proportion more
-for a file of more than `FILE_BYTES`. The process that waits for it takes 110 MB."""
+"""Memory [bytes] that the process that reads a CAD file may take beyond its libraries (125 MB); proportionally more for
+a file larger than `FILE_BYTES`. The process that waits for it takes 110 MB.
+"""
 CAD_SECONDS = 25
-"""[s] Processor time of that process, likewise."""
+"""Processor time [s] that the process that reads a CAD file may take; proportionally more for a file larger than
+`FILE_BYTES`.
+"""
 SMALL_CAD_BYTES = MIB // 2
-"""[bytes] Size up to which an OBJ or PLY file is read without a process of its own: a polygon of many corners makes 360
-bytes of each byte."""
+"""Size [bytes] up to which an OBJ or PLY file is read without a separate process: a polygon with many corners becomes
+360 bytes per byte of the file.
+"""
 TRIANGLES = 200_000
-"""Triangles of a CAD file, those of each instance counted: 700 bytes each while they are read, 1,500 in a hall whose
-sights they may hide."""
+"""Largest number of triangles in a CAD file, those of each instance counted; each takes 700 bytes while it is read, and
+1,500 in a hall where it may hide targets.
+"""

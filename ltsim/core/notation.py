@@ -12,11 +12,11 @@ from ltsim.core.errors import ModelError
 
 NONE = "-"
 """Text of a missing number; never `nan`."""
-MOST_DECIMALS = 12
+MAX_DECIMALS = 12
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for none."""
+    """Number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return NONE
     if value == 0:
@@ -51,7 +51,7 @@ def expanded(value: float | None, u: float | None, unit: str = "", factor: float
 def decimals(sigma: float) -> int:
     """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
     rounded = float(f"{sigma:.1e}")  # 0.0996 is 0.10
-    return min(max(1 - math.floor(math.log10(rounded)), 0), MOST_DECIMALS)
+    return min(max(1 - math.floor(math.log10(rounded)), 0), MAX_DECIMALS)
 
 
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
@@ -80,7 +80,7 @@ def listing(words: Sequence[str], most: int = 6) -> str:
 
 
 def fixed(value: float | None, places: int) -> str:
-    """A number with `places` decimals and without thousands separators; a dash for none."""
+    """Number with `places` decimals and without thousands separators; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return NONE
     text = f"{value:.{places}f}"

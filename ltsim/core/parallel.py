@@ -14,7 +14,7 @@ from ltsim.core.errors import WorkerError, option
 PARENT_CHECK_INTERVAL = 1.0
 """Time [s] between two checks of a worker that its parent process still runs."""
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Variable of the environment that keeps Python from putting the working folder on its path."""
+"""Environment variable that keeps Python from adding the working folder to its module path."""
 Result = TypeVar("Result")
 
 
@@ -77,7 +77,7 @@ def _safe_path() -> Iterator[None]:
 
 
 def _watch(parent: int) -> None:
-    """End this process as soon as its parent is gone, from its start on."""
+    """Thread that ends this process as soon as its parent process no longer exists."""
 
     def look() -> None:
         while os.getppid() == parent:

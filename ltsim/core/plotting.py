@@ -7,7 +7,7 @@ _loaders: list[Callable[[str], Any]] = []
 
 
 def register_plotting(load: Callable[[str], Any]) -> None:
-    """Set the function that imports a plotting module by its name within `ltsim.reports`."""
+    """Registration of the function that imports a plotting module by its name within `ltsim.reports`."""
     _loaders[:] = [load]
 
 

@@ -3,22 +3,22 @@
 import math
 
 SMALLEST_REPORTED_P = 1e-6
-"""Smaller p-values are reported as `< 1e-6`: no test is exact that far out."""
+"""Reporting limit of p-values: smaller ones are reported as `< 1e-6`, because no test is exact that far out."""
 AGREEMENT_LEVEL = 0.02
 """Level of the global test: a two-sided p-value of chi-square below it is a disagreement, 1 % on each side."""
 SIZE_PRIOR = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
-"""Prior probabilities of the size of a missing effect, by its ratio to the plausible size."""
+"""Prior probabilities of the size of an unmodelled effect, by its ratio to the effect's plausible size."""
 P_CONSTANT = 0.04
-"""Prior probability that a missing effect is a wrong constant of an instrument."""
+"""Prior probability that an unmodelled effect is a wrong constant of an instrument."""
 
 
 def two_sided(upper: float) -> float:
-    """Two-sided p-value of a chi-square from `upper`, the probability of a value as large or larger."""
+    """Two-sided p-value of a chi-square test from its upper tail probability `upper`."""
     return 2.0 * min(upper, 1.0 - upper)
 
 
 def p_text(p: float | None) -> str:
-    """A p-value as text: `0.02`, `< 1e-6`, `> 0.99`, a dash for none."""
+    """A p-value as text: `0.02`, `< 1e-6`, `> 0.99`; a dash for a missing value."""
     if p is None or not math.isfinite(p):
         return "–"
     if p < SMALLEST_REPORTED_P:
@@ -27,6 +27,6 @@ def p_text(p: float | None) -> str:
 
 
 def format_p(p: float) -> str:
-    """`p = 0.02`, `p < 1e-6` or `p > 0.99`."""
+    """A p-value as part of a sentence: `p = 0.02`, `p < 1e-6` or `p > 0.99`."""
     text = p_text(p)
     return f"p {text}" if text[0] in "<>" else f"p = {text}"

@@ -1,4 +1,4 @@
-"""Random streams by key.
+"""Independent streams of random numbers, addressed by keys.
 
 A stream is named by its purpose: ``stream(seed, "truth", "beam-tilt", 17)``. A draw depends on its key alone, so
 neither the number of workers nor the list of effects can change it.
@@ -14,7 +14,9 @@ from ltsim.core.errors import SetupError
 
 WORD = 2**32
 BLOCK = 256
-"""Trials whose numbers come from one stream; part of the definition of the numbers, so it never changes."""
+"""Number of consecutive trials whose numbers come from one stream. It is part of the definition of the numbers and must
+not change.
+"""
 
 
 @lru_cache(maxsize=4096)
@@ -54,7 +56,9 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
 
 
 def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
-    """Standard normal numbers (size, B) of trials (B,) for `key`: independent of the other trials of the call.
+    """Standard normal numbers (size, B) of the trials with numbers `trials` (B,) under `key`.
+
+    Each trial is independent of the others in the call.
 
     Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
     """
@@ -72,7 +76,7 @@ def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | i
 
 
 def _block(seed: int, block: int, size: int, *key: str | int) -> NDArray[np.float64]:
-    """All trials (size, BLOCK) of a block."""
+    """Standard normal numbers (size, BLOCK) of all trials of one block."""
     numbers = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
     if not block:
         numbers[:, 0] = stream(seed, *key).standard_normal(size)

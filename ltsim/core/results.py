@@ -35,12 +35,14 @@ if TYPE_CHECKING:
 
 FORMULA = ("=", "+", "-", "@", "'")
 LARGEST = 1e40
-"""Largest magnitude of a number in a result file: products of four variances, of eight such numbers, may overflow."""
-MOST_SHOWN = 12
-"""Rows of a table that a notebook shows."""
+"""Largest magnitude of a number in a result file; products of eight larger numbers, as in a product of four variances,
+could overflow.
+"""
+MAX_SHOWN = 12
+"""Number of table rows that a notebook shows."""
 Kind = Literal["text", "number", "flag", "chance"]
 Columns = Mapping[str, Sequence[Any]]
-"""Columns of one length by their headers."""
+"""Columns of equal length by their headers."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ class Table(ValueEquality):
         return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
 
     def filled(self, rows: Iterable[Any]) -> Table:
-        """The table with rows: sequences in the order of the columns, or objects or mappings with their names."""
+        """The table with rows: sequences in the order of its columns, or objects or mappings with their names."""
         return replace(self, rows=tuple(self._row(row) for row in rows))
 
     def _row(self, row: Any) -> tuple[Any, ...]:
@@ -228,7 +230,7 @@ class Table(ValueEquality):
         return DataFrame({name: self.column(name) for name in self.header})
 
     def csv(self) -> str:
-        """The content of its file."""
+        """Content of the CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow([guarded(name) for name in self.header])
@@ -245,7 +247,7 @@ class Table(ValueEquality):
             When a column is missing or a cell holds no number where one should be.
         """
         if text.count("\n") > LINES:
-            raise RecordError(f"has more than {LINES} lines, the most that is read", file=file)
+            raise RecordError(f"has more than {LINES} lines, the limit for reading", file=file)
         reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
             names = list(reader.fieldnames or ())
@@ -253,10 +255,11 @@ class Table(ValueEquality):
             if missing:
                 what = "is there twice" if missing[0] in names else "is missing"
                 raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
-            rows = list(reader)
+            return self.filled(
+                [_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
+            )
         except csv.Error as problem:
             raise RecordError(f"is not CSV ({problem})", file=file) from None
-        return self.filled([_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(rows, 1))
 
     def numbers(self, *names: str) -> Floats:
         """The named columns as a float array (rows, columns)."""
@@ -300,9 +303,9 @@ class Table(ValueEquality):
         )
         rows = "".join(
             "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-            for row in replace(self, rows=self.rows[:MOST_SHOWN]).cells()
+            for row in replace(self, rows=self.rows[:MAX_SHOWN]).cells()
         )
-        more = len(self.rows) - MOST_SHOWN
+        more = len(self.rows) - MAX_SHOWN
         rest = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
 
@@ -361,7 +364,7 @@ class Result(ValueEquality):
 
 
 def guarded(text: str) -> str:
-    """The text with an apostrophe before it where a spreadsheet would take it for a formula."""
+    """The text with an apostrophe before it if a spreadsheet would interpret it as a formula."""
     return f"'{text}" if text.startswith(FORMULA) else text
 
 
@@ -390,5 +393,5 @@ def _value(column: Column, cell: str, file: object, row: int) -> Any:
 
 
 def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
-    """Columns of rows with equal keys."""
+    """Columns from rows that have equal keys."""
     return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}

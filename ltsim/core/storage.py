@@ -20,15 +20,15 @@ from tempfile import TemporaryFile
 from ltsim.core.errors import RecordError
 
 MODE = 0o666
-"""Permissions of a new file before the umask."""
+"""Permissions of a new file before the umask applies."""
 _RUN = secrets.token_hex(4)
-"""Token of this process, since process numbers are reused."""
+"""Random token of this process; process numbers alone are reused by the system."""
 _TEMPORARY = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
-"""Names of temporary files and journals, with number and token of the writing process."""
+"""Pattern of the names of temporary files and journals; the groups are number and token of the writing process."""
 
 
 def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
-    """Write files into a folder, which is created if necessary: all of them, or none.
+    """Atomic writing of files into a folder, which is created if necessary: all of them are written, or none.
 
     A name may contain folders. A device or a pipe is written to directly. `durable` files and their names are flushed
     to the disk. Raises OSError, and RecordError as `place_in`.
@@ -63,7 +63,9 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = 
 
 
 def settle(folder: Path) -> set[str]:
-    """Complete the interrupted moves of killed processes and remove their temporary files; returns the completed names.
+    """Completion of the interrupted moves of killed processes.
+
+    Returns the names of the completed files and removes temporary ones.
 
     Raises OSError.
     """
@@ -103,10 +105,10 @@ def is_device(path: Path) -> bool:
 
 
 def check_writable(path: Path, *, folder: bool) -> None:
-    """Raise RecordError if no file, or no `folder`, can be written at a path; parent folders may be missing."""
+    """Check that a file, or a `folder`, can be written at a path; parent folders may be missing. Raises RecordError."""
     try:
         if path.is_dir() != folder and path.exists():
-            wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
+            wrong = "the path is a file, expected a folder" if folder else "the path is a folder, expected a file"
             raise RecordError(f"{wrong} to write to", file=path)
         if is_device(path):
             if not os.access(path, os.W_OK):
@@ -132,7 +134,7 @@ def _temporary(ending: str) -> str:
 
 
 def _create(path: Path, content: bytes, *, durable: bool) -> None:
-    """A new file; the kernel applies the umask."""
+    """Creation of a file with the permissions that the umask permits."""
     with open(path, "xb", opener=lambda name, flags: os.open(name, flags, MODE)) as stream:
         stream.write(content)
         if durable:
@@ -141,7 +143,7 @@ def _create(path: Path, content: bytes, *, durable: bool) -> None:
 
 
 def _move(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
-    """Rename temporary files to their final names; those already renamed are skipped."""
+    """Renaming of temporary files to their final names; files that were already renamed are skipped."""
     parents = set()
     for source, name in moves.items():
         place = place_in(folder, name)
@@ -161,7 +163,7 @@ def _inside(folder: Path, name: str) -> bool:
 
 
 def _abandoned(folder: Path, ending: str) -> Iterator[Path]:
-    """Temporary files of processes that have ended, in a folder and in those below it."""
+    """Temporary files of processes that have ended, in a folder and its subfolders."""
     for path in [*folder.glob(f".ltsim-*.{ending}"), *folder.glob(f"*/.ltsim-*.{ending}")]:
         match = _TEMPORARY.fullmatch(path.name)
         if match and not _runs(int(match[1]), match[2]):

@@ -91,22 +91,22 @@ BY_ENDING = MappingProxyType(
         "_ppm": "ppm", "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
     }
 )  # fmt: skip
-"""Units by the ending of a key."""
+"""Units by the last part of a key, such as `mm` for `_mm`."""
 BY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
-"""Units by a word at the beginning of a key."""
+"""Units by the first word of a key, such as `s` for `seconds`."""
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
 
 
 @functools.cache
 def ratio(unit: str, other: str) -> Decimal:
-    """Ratio of `unit` to `other`, both of angle, length or time, to the last digit."""
+    """Exact ratio of one unit to another; both are units of angle, of length or of time."""
     if unit in _CIRCLE:
         return _CIRCLE[other] / _CIRCLE[unit]
     return Decimal(repr(FACTOR[unit])) / Decimal(repr(FACTOR[other]))
 
 
 def unit_of_key(key: str) -> str:
-    """Unit in the name of a key; empty where it has none."""
+    """Unit in the name of a key; empty for a key without one."""
     for ending, name in BY_ENDING.items():
         if key.endswith(ending):
             return name
@@ -114,12 +114,15 @@ def unit_of_key(key: str) -> str:
 
 
 def same_kind(unit: str, other: str) -> bool:
-    """True for two units of one kind, such as two lengths."""
+    """True for two units of the same kind of quantity, such as two lengths."""
     return unit == other or any({unit, other} <= kind for kind in CONVERTIBLE)
 
 
 def in_unit(text: str, unit: str) -> float | None:
-    """A number with its unit, such as ``2 urad``, in another unit of the same kind; None where it is none."""
+    """Number in another unit of the same kind, from a text with its unit such as ``2 urad``.
+
+    It is None if the text is no such quantity.
+    """
     match = _QUANTITY.fullmatch(text)
     if match is None:
         return None

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 class ValueEquality:
     """Base class of data classes that are compared by value, arrays included.
 
-    Data classes derived from it use this comparison instead of one by tuples, which arrays do not allow.
+    Data classes derived from it use this comparison instead of comparing tuples of fields, which fails for arrays.
     """
 
     def __init_subclass__(cls, **rest: Any) -> None:
@@ -57,7 +57,10 @@ def equal_values(first: Any, second: Any) -> bool:
 
 
 def _parts_of(value: Any) -> tuple[Any, ...] | None:
-    """Contents of an object that is neither data class nor model: a sparse matrix, a class with `__reduce__`."""
+    """Contents of an object that is neither a data class nor a model.
+
+    A sparse matrix and an object with `__reduce__` have such contents; None for another object.
+    """
     kind = type(value)
     if kind.__module__.startswith("scipy.sparse"):
         compressed = value.tocsr()

@@ -1,1 +1,1 @@
-"""Diagnosis: from a recording to the physics that was left out."""
+"""Diagnosis: unmodelled causes in a recording, with place, size and probability."""

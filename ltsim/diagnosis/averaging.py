@@ -24,27 +24,40 @@ from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.variance import VarianceFunction
 
 WORSE, HARM = 0.05, 0.03
-"""Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
+"""Permitted relative increase of the coordinate error when the shift of a law is subtracted, and probability that it is
+exceeded.
+"""
 MOST_OPEN, LEAST = 12, 0.003
-"""Largest number of averaged explanations, and the probability below which one is dropped (cost)."""
+"""Largest number of averaged explanations, and smallest probability of one (cost)."""
 
 
-def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
-    """Targets of a refit, shifted to the average over the alternative explanations of each member."""
+def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitted: Refit) -> tuple[Targets, Floats]:
+    """Average over the alternative explanations of each member of a refitted model.
+
+    Returns
+    -------
+    Targets
+        Coordinates, those of the refit to second order.
+    (n, 3) float
+        Difference of the expected change of the readings from that of the refit [m, rad, rad].
+    """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
-    points = fitted.adjustment.state.points - first_order_shift(searcher, searcher.with_members(refitted))
+    space, linear = searcher.space, first_order_change(searcher, searcher.with_members(refitted))
+    points, change = fitted.adjustment.state.points + space.moved_targets(linear), -linear
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(model, i)
-        weights, shifts = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
+        weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
+        shifts = np.stack([-space.moved_targets(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
+        change += weights @ changes
         by_laws += mean if not model.members[i].is_catalogued else 0.0
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(open_)
@@ -53,13 +66,16 @@ def averaged_targets(searcher: Searcher, model: Model, rankings: Sequence[Rankin
     adjustment = fitted.adjustment
     covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target)
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return Targets(points - residual_shift, covariance, spread)
+    return Targets(points - residual_shift, covariance, spread), space.unwhitened(change)
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
-    """Largest share of a change (T, 3) [m] that hardly makes targets worse; explanations deviate by (k, T, 3) [m]."""
+    """Largest fraction of a change (T, 3) [m] that hardly increases target errors.
+
+    Explanations deviate by (k, T, 3) [m].
+    """
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
-    shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
+    shift = without_rigid_motion(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
     along[problem.unknowns.target.ravel()] = shift
     disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
@@ -69,9 +85,9 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
 
 
 def safe_share(size: float, spread: float, noise: float) -> float:
-    """The largest share t of s to take off, with which t^2 s's - 2 t (s's + s'e) is small but for a chance of `HARM`.
+    """Largest fraction t of the shift s for which t^2 s's - 2 t (s's + s'e) is small except with probability `HARM`.
 
-    Small is ((1 + WORSE)^2 - 1) (s's + e'e), e'e at its expectation.
+    The limit is ((1 + WORSE)^2 - 1) (s's + e'e), with e'e at its expectation.
 
     Parameters
     ----------
@@ -88,9 +104,9 @@ def safe_share(size: float, spread: float, noise: float) -> float:
 def model_weights(
     searcher: Searcher, others: Model, chosen: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Weights (k,) of explanations, the chosen one first, and the shift (k, T, 3) [m] of the targets by each.
+    """Weights (k,) of explanations, the chosen one first, and the whitened change (k, m) of the readings by each.
 
-    Log evidences are divided by `temperature`. Changes of the noise, like no effect at all, shift no target.
+    Log evidences are divided by `temperature`. Changes of the noise, like no effect, do not change readings.
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / temperature).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
@@ -99,10 +115,10 @@ def model_weights(
     none += sum(p for h, p in zip(ranking.entries, rest_of, strict=True) if _is_noise(h))
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     shaped = _shaped(searcher, others, chosen)
-    shifts = [shift_of(searcher, others, h) for h, _ in (*shaped, *entries)]
-    shifts.append(np.zeros_like(shifts[0]))
+    changes = [expected_change(searcher, others, h) for h, _ in (*shaped, *entries)]
+    changes.append(np.zeros_like(changes[0]))
     weights = np.array([*(rest * p for _, p in shaped), *(p for _, p in entries), none])
-    return weights / weights.sum(), np.array(shifts)
+    return weights / weights.sum(), np.array(changes)
 
 
 def _is_noise(hypothesis: Hypothesis) -> bool:
@@ -111,7 +127,7 @@ def _is_noise(hypothesis: Hypothesis) -> bool:
 
 
 def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
-    """An explanation at its most probable shapes, and their probabilities."""
+    """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
         [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
     )
@@ -122,17 +138,17 @@ def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple
     return [(replace(chosen, effect=node.effect), float(p)) for node, p in ranked if p > LEAST]
 
 
-def first_order_shift(searcher: Searcher, model: Model) -> Floats:
-    """First-order shift (T, 3) [m] of the adjusted targets by all members of a refitted model."""
+def first_order_change(searcher: Searcher, model: Model) -> Floats:
+    """First-order change (m,) of the whitened readings by all members of a refitted model."""
     if not model.members:
-        return np.zeros((len(searcher.space.sightings.points), 3))
+        return np.zeros(searcher.space.size)
     mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
-    signatures = np.hstack([searcher.space.signature(h.effect) for h in model.members])
-    return -searcher.space.moved_targets(signatures @ mean)
+    change: Floats = np.hstack([searcher.space.signature(h.effect) for h in model.members]) @ mean
+    return change
 
 
-def shift_of(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
-    """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk by its prior, is taken out."""
+def expected_change(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
+    """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
     moments = searcher.exact.moments([hypothesis.effect], others)[0]
-    mean = posterior(*moments, hypothesis.spread)[0]
-    return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)
+    change: Floats = searcher.space.signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
+    return change

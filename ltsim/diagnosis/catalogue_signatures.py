@@ -1,4 +1,4 @@
-"""Signatures of the catalogue effects as hypotheses, at every place and shape that the catalogue offers.
+"""Signatures of the catalogue effects as hypotheses, at every possible place and shape.
 
 All are scored with the same vectors and the same evidence as the empirical laws.
 """
@@ -25,11 +25,13 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 SPARSE = 0.15
-"""A signature is stored sparse if its share of nonzeros is below this (speed only)."""
+"""Fraction of nonzeros below which a signature is stored as a sparse matrix (speed only)."""
 
 
 ORDINARY = {type(effect) for effect in BASELINE}
-"""Constants of the ordinary calibration: always estimated; as hypotheses they stand for a value beyond their prior."""
+"""Effects of the ordinary calibration, which are always estimated; as hypotheses they mean a value
+beyond their prior.
+"""
 
 
 def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[Tunable]:
@@ -42,10 +44,10 @@ def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) 
 
 @dataclass(frozen=True)
 class Group:
-    """Effects of one number of parameters k, all kept sparse, or all dense on the rows that they may touch.
+    """Group of effects with equal numbers k of parameters, all stored sparse, or all dense on their rows.
 
-    `members` (h,), `places` (r,) of the rows, scaled signatures as rows (h k, r), their products with each other
-    (h, k, k), and those of their projections, filled in the first pass.
+    It has `members` (h,), indices `places` (r,) of the rows, scaled signatures as rows (h k, r), their Gram matrices
+    (h, k, k), and those of their projections, computed in the first pass.
     """
 
     size: int
@@ -56,12 +58,12 @@ class Group:
     gram: Floats
 
     def products(self, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) with vectors (m, v)."""
+        """Products (h, k, v) of the signatures with vectors (m, v)."""
         products = np.asarray(self.rows @ vectors[self.places].astype(np.float32, copy=False)).astype(np.float64)
         return products.reshape(len(self.members), self.size, -1)
 
     def scaled(self, ratio: Singles) -> Group:
-        """The same with the rows of the space times a `ratio` (m,)."""
+        """Group for rows of the space multiplied by a `ratio` (m,)."""
         rows: Singles | sp.csr_array
         if isinstance(self.rows, np.ndarray):
             rows = self.rows * ratio[self.places]
@@ -81,7 +83,7 @@ class CatalogueSignatures:
     Attributes
     ----------
     effects : list of Tunable
-        Those that touch a reading.
+        Effects that change a reading.
     groups : list of Group
     families : tuple of str
     family : (h,) int
@@ -94,7 +96,7 @@ class CatalogueSignatures:
 
     @classmethod
     def of(cls, space: ResidualSpace, effects: Sequence[Tunable]) -> CatalogueSignatures:
-        """Signatures of all effects that touch a reading of this recording."""
+        """Signatures of all effects that change a reading of this recording."""
         touching: list[Tunable] = []
         by_shape: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
         read = np.nonzero(space.use)
@@ -123,9 +125,9 @@ class CatalogueSignatures:
         return cls(touching, groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
 
     def reweighted(self, before: ResidualSpace, after: ResidualSpace) -> CatalogueSignatures:
-        """The same signatures with the weights of another adjustment of the same readings.
+        """Signatures with the weights of another adjustment of the same readings.
 
-        The geometry stays as it was: adjusted again with other weights, a network moves by far less than its lengths.
+        The geometry is not updated, because other weights move a network by far less than its lengths.
         """
         ratio = np.ones(after.size, dtype=np.float32)
         ratio[: int(after.use.sum())] = (before.sigma / after.sigma)[after.use]
@@ -134,8 +136,8 @@ class CatalogueSignatures:
     def score(self, probe: NullEnsemble) -> tuple[Floats, Floats]:
         """Log evidence (h,) of each effect given the model, and of the trials by family (families, trials).
 
-        The model reduces the Gram matrix of a projected signature. A Monte-Carlo Gram matrix is not reduced: the
-        difference of an estimate and an exact value may vanish, and the evidence with it.
+        The model reduces the Gram matrix of a projected signature. A Monte-Carlo Gram matrix is not reduced, because
+        the difference of an estimate and an exact value may vanish.
         """
         values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.trials.shape[1]))
         for group in self.groups:
@@ -165,9 +167,10 @@ class CatalogueSignatures:
 
 
 def _scaled_to_noise(effect: Tunable, signature: Floats, pointing: Ints) -> tuple[Tunable, float]:
-    """Effect with a plausible size raised to the noise level, and the factor; 1 for air, which is that of the hall.
+    """Effect with a plausible size raised to the noise level, and the factor.
 
-    By the rows of its whitened signature (r, q) of plausible sizes that are not zero, and the pointing (r,) of each.
+    The factor is 1 for effects of the air, which belong to the hall. The arguments are the nonzero rows (r, q) of the
+    whitened signature of plausible size, and the pointing (r,) of each.
     """
     if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == Stage.AIR:
         return effect, 1.0
@@ -177,7 +180,7 @@ def _scaled_to_noise(effect: Tunable, signature: Floats, pointing: Ints) -> tupl
 
 
 def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:
-    """Group of effects of one size, dense on the rows `places` (r,)."""
+    """Group of effects with equal numbers of parameters, dense on the rows `places` (r,)."""
     dense = np.zeros((len(made), size, len(places)), dtype=np.float32)
     for filled, (_, touched, rows) in zip(dense, made, strict=True):
         filled[:, np.searchsorted(places, touched)] = rows
@@ -193,7 +196,7 @@ def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -
 
 
 def _sparse(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> Group:
-    """Group of effects of one size, each on few of `length` rows."""
+    """Group of effects with equal numbers of parameters, each on few of `length` rows."""
     products = np.stack([square(rows) for _, _, rows in made]).astype(np.float64)
     indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
     ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))])

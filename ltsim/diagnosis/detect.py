@@ -1,8 +1,8 @@
-"""Global test of the recording against the model and the declared noise, one for the whole search.
+"""Global test of a recording against model and declared noise, one for the complete search.
 
-The statistic is the log evidence of all hypotheses with their priors against none: catalogue effects, laws, changes of
-the noise. Its distribution without any effect comes from the same sums over simulated residuals of the network at hand,
-so the false-alarm rate holds for any number of hypotheses.
+The statistic is the log evidence of all hypotheses with their priors (catalogue effects, laws, changes of the noise)
+relative to none. Its null distribution is computed from simulated residuals of the same network, so that the
+false-alarm rate is valid for any number of hypotheses.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
 ROUNDING = 1e-3
-"""Log evidence that single precision, in which simulated recordings are scored, may lack."""
+"""Error of log evidences by single precision, in which simulated recordings are scored."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Detection:
         return float(np.quantile(self.null, 1.0 - level))
 
     def chance(self, statistic: float) -> float:
-        """p-value of a statistic in the whole search: (k + 1) / (n + 1), k of n simulated recordings reach it.
+        """p-value of a statistic in the complete search: (k + 1) / (n + 1) if k of n simulated recordings reach it.
 
-        A recording without any effect is exchangeable with them, so the probability of a value up to p is p at most.
+        A recording without effects is exchangeable with them, so that the probability of a value up to p is at most p.
         The smallest value is 1 / (n + 1).
         """
         return (int(np.sum(self.null >= statistic - ROUNDING)) + 1) / (len(self.null) + 1)

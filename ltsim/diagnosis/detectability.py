@@ -28,18 +28,19 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
 OUT_OF_REACH = 10.0
-"""An effect is reported as undetectable if it is detectable only above this multiple of a bad but plausible size."""
+"""Multiple of a large but plausible size above which a detectable size counts as undetectable."""
 TIE = 1e-6
-"""Sizes within this relative difference are equal, and the first is reported: rounding must not decide."""
+"""Relative difference up to which sizes count as equal, so that rounding does not decide which is reported."""
 DIGITS = 6
 """Decimals [um] to which a distortion is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 
 def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> DetectabilityReport:
-    """Detectable effects, and undetectable ones with the target error that they hide, worst first.
+    """Detectable effects, and undetectable ones with the target error that they cause, the largest first.
 
-    For an effect with several parameters the one with the smallest multiple of its plausible size, at a median place.
+    For an effect with several parameters the parameter with the smallest ratio of detectable to plausible size at a
+    median place is reported.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def detectability_report(space: ResidualSpace, cards: CatalogueSignatures) -> De
 
 
 def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDetectability:
-    """Detectability of an effect at a sample of its places, in double precision, as it is reported."""
+    """Detectability of an effect at a sample of its places, in double precision."""
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(thinned(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)

@@ -13,8 +13,10 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.diagnosis.averaging import averaged_targets
+from ltsim.core.limits import DIAGNOSED_POINTINGS
+from ltsim.diagnosis.averaging import averaged
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.detectability import DetectabilityReport, detectability_report
@@ -44,15 +46,17 @@ from ltsim.solve.threads import single_threaded
 MOST_ROUNDS = 3
 """Largest number of alternations between variance and mean hypotheses."""
 LEAST_LEVEL = 1e-3
-"""Smallest false-alarm rate: a p-value of 1 / (n + 1) takes n simulated recordings."""
+"""Smallest false-alarm rate; a p-value of 1 / (n + 1) needs n simulated recordings."""
 MIN_REMAINING_OFFSET = 0.5
-"""A contradicting constant is reported only if at least this fraction of its offset remains after the selected effects
-are modelled."""
+"""Smallest fraction of its offset that a contradicting constant must retain with the selected effects in the model to
+be reported.
+"""
 MOST_REPORTED = 5
-"""Largest number of reported findings, mistakes and constants first."""
+"""Largest number of reported findings, blunders and constants first."""
 LEAST_GAIN = 2.0
-"""A further effect is added if its log evidence exceeds this: a geometric prior on the number of effects, each further
-one having prior odds of e^-2, 1 to 7."""
+"""Smallest log evidence of an additional effect: a geometric prior on the number of effects, with prior odds of e^-2 (1
+to 7) for each additional one.
+"""
 
 
 @refusing_singular
@@ -92,6 +96,7 @@ def diagnose(
     """
     if not LEAST_LEVEL <= level < 1.0:
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
+    recording.require_at_most(DIAGNOSED_POINTINGS, "a diagnosis")
     construction = declared_construction(recording)
     compared = (
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
@@ -124,7 +129,7 @@ def diagnose(
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
-    """True if an effect varies this constant of an instrument: then it has no single value to compare."""
+    """True if an effect varies this constant of an instrument, which then has no single value."""
     laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
     drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
@@ -138,7 +143,7 @@ Compared = Callable[[Adjustment, float], list[Contradiction]]
 def _searched(
     case: SelectionState, level: float, compared: Compared
 ) -> tuple[tuple[ResidualSpace, CatalogueSignatures], Detection, Model, Refit]:
-    """Space and hypotheses of the network as it is, detection there, the model selected if rejected, and its refit."""
+    """Space and hypotheses of the initial network, its detection result, the selected model if rejected, its refit."""
     beginning = case.space, case.searcher.cards
     detection = detect(case.searcher, case.bank)
     model = _select_model(case, LEAST_GAIN, compared) if detection.p_value < level else case.empty
@@ -148,7 +153,7 @@ def _searched(
 def _contradicting_constants(
     case: SelectionState, model: Model, settled: Adjustment, compared: Compared
 ) -> list[Contradiction]:
-    """Constants that contradict their reference with and without the model, by much the same offset."""
+    """Constants that contradict their reference with nearly equal offsets with and without the model."""
     with_model = compared(settled, LEAST_GAIN)
     if not model.members:
         return with_model
@@ -165,10 +170,10 @@ def _contradicting_constants(
 
 
 def _select_model(case: SelectionState, threshold: float, compared: Compared) -> Model:
-    """Selected model: constants off their reference, mean shifts and changes of the noise, until nothing gains.
+    """Selected model: changed constants, mean shifts and changes of the noise, until the evidence does not increase.
 
-    The kind with the larger evidence alone comes first: a law selected under a wrong noise level absorbs noise, and
-    noise estimated before a law absorbs the law; the same holds for constants.
+    The kind with the larger evidence is selected first: a law selected with a wrong noise level absorbs noise, and
+    noise estimated before a law absorbs the law; the same is true for constants.
     """
     noise = case.noises(case.empty)[0][0]
     if noise >= case.searcher.lower_bound(threshold, noise).score:
@@ -184,7 +189,7 @@ def _select_model(case: SelectionState, threshold: float, compared: Compared) ->
 
 
 def _variance_only(case: SelectionState, threshold: float) -> None:
-    """Forward selection of changes of the noise; the first is always taken, since the global test has failed."""
+    """Forward selection of changes of the noise; the first is always selected, since the global test has failed."""
     for further in range(MOST_ROUNDS):
         ranked = case.noises(case.empty)
         if further and ranked[0][0] < threshold:
@@ -194,7 +199,7 @@ def _variance_only(case: SelectionState, threshold: float) -> None:
 
 
 def _mean_and_variance(case: SelectionState, threshold: float) -> Model:
-    """Model of shifts of readings in addition to a change of the noise, if they gain; else the empty model.
+    """Model of mean shifts in addition to a change of the noise, if they increase the evidence; else the empty model.
 
     Noise estimated alone hides a shift: it is estimated again with the best shifts, and both together are
     compared with noise alone by their restricted likelihood.
@@ -238,7 +243,10 @@ def _alternate_mean_and_variance(case: SelectionState, model: Model, threshold: 
 
 
 def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
-    """Most probable change of the noise, with its probability among all hypotheses; `rest` is the log sum of others."""
+    """Most probable change of the noise with its probability among all hypotheses.
+
+    `rest` is the log sum of the others.
+    """
     values = np.array([value for value, _ in ranked])
     weights = np.exp(values - log_sum_exp(np.array([0.0, rest, *values])))
     named: dict[str, float] = {}
@@ -271,9 +279,9 @@ def _refitted(case: SelectionState, model: Model) -> tuple[Model, Refit]:
 
 
 def log_support(model: Model, reduced: Model, drop: float) -> float:
-    """Log evidence of a model over a reduced one, with the decrease of chi-square of the nonlinear refits.
+    """Log evidence of a model relative to a reduced one, with the chi-square decrease of the nonlinear refits.
 
-    The linear evidence has the Occam factors and priors; only its decrease of chi-square is replaced by `drop`.
+    The linear evidence has the Occam factors and priors; its decrease of chi-square is replaced by `drop`.
     """
     linear = float(reduced.residual @ reduced.residual - model.residual @ model.residual)
     return model.score - reduced.score + 0.5 * (drop - linear)
@@ -295,11 +303,12 @@ def _report(
     *,
     mismatch: bool,
 ) -> Diagnosis:
-    """Diagnosis from the explained model, and from findings that are `certain` without the search."""
+    """Diagnosis from the explained model, and from findings of tests (`certain`), which need no search."""
     case, model, detection = explained.case, explained.model, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
     shifts = [explained.finding(i) for i, finding in enumerate(model.members) if finding.key not in explained.withheld]
-    noises = [noise_finding(finding, baseline.sightings, detection) for finding in case.noise]
+    clock = case.recording.has_clock
+    noises = [noise_finding(finding, baseline.sightings, detection, clock=clock) for finding in case.noise]
     sure = [finding for finding in (*shifts, *noises) if finding.evidence.chance >= LIKELY]
     alone = not certain and all(finding.effect == NoiseLevel.name for finding in sure)
     likely = (sure + [finding for finding in shifts if finding not in sure] or noises) if alone else sure
@@ -313,7 +322,7 @@ def _report(
     verdict = "mismatch" if mismatch or certain else "consistent"
     detectable, undetectable = detectability
     return Diagnosis.of(
-        DiagnosisArrays(_targets(explained, shifts, noises), baseline, adjusted),
+        DiagnosisArrays(*_averaged(explained, shifts, noises), baseline, adjusted),
         recording=source,
         verdict=verdict,
         summary=summarise(
@@ -334,16 +343,20 @@ def _report(
     )
 
 
-def _targets(explained: Explained, shifts: Sequence[Finding], noises: Sequence[Finding]) -> Targets:
-    """Targets averaged over explanations; those of the calibration if no cause is more probable than not."""
+def _averaged(explained: Explained, shifts: Sequence[Finding], noises: Sequence[Finding]) -> tuple[Targets, Floats]:
+    """Targets and difference of the change of the readings (n, 3), averaged over explanations.
+
+    The targets are those of the calibration if no cause is more probable than not.
+    """
     case = explained.case
+    targets, change = averaged(case.searcher, explained.model, explained.rankings, explained.refit)
     if not any(finding.evidence.chance >= LIKELY for finding in (*shifts, *noises)):
-        return averaged_targets(case.searcher, case.empty, (), Refit(case.baseline, (), ()))
-    return averaged_targets(case.searcher, explained.model, explained.rankings, explained.refit)
+        targets, _ = averaged(case.searcher, case.empty, (), Refit(case.baseline, (), ()))
+    return targets, change
 
 
 def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut:
-    """Errors on held-out readings, over the larger of the declared and the estimated noise.
+    """Errors of held-out readings, relative to the larger of the declared and the estimated noise.
 
     `after` is given if the search is `repeated`, or the model shifts no reading.
     """

@@ -51,10 +51,12 @@ class DiagnosisArrays(ValueEquality):
     """Networks of a diagnosis, and its coordinates."""
 
     targets: Targets
+    averaging_change: Floats
+    """Change (n, 3) [m, rad, rad] of the readings averaged over the explanations, minus that of the refit."""
     baseline: Adjustment
-    """The ordinary adjustment."""
+    """Adjustment of the ordinary model."""
     adjusted: Adjustment
-    """The adjustment with the findings modelled."""
+    """Adjustment with the findings in the model."""
 
 
 class Diagnosis(ResultFile):
@@ -64,15 +66,15 @@ class Diagnosis(ResultFile):
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
     """Format and version of this file."""
     verdict: str
-    """`consistent`, or `mismatch`."""
+    """Verdict: `consistent` or `mismatch`."""
     summary: str
-    """The answer in a few sentences."""
+    """Summary in a few sentences."""
     global_test: GlobalTest
     """Global test of the ordinary model."""
     findings: tuple[Finding, ...] = ()
     """Unmodelled causes that explain the readings."""
     tests: tuple[Test, ...] = ()
-    """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
+    """Table of tests, as in `adjust` and `check`: simple causes that the readings support, and outliers."""
     fit: BeforeAfter | None = None
     """Misfit without and with the findings."""
     undetectable: tuple[Undetectable, ...] = ()
@@ -85,31 +87,31 @@ class Diagnosis(ResultFile):
 
     @classmethod
     def of(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
-        """The diagnosis with its networks; `fields` are those of the file."""
+        """Diagnosis with its networks; `fields` are those of the file."""
         made = cls(**fields)
         made._arrays = arrays
         return made
 
     @property
     def arrays(self) -> DiagnosisArrays:
-        """The networks; raises ModelError for a diagnosis that was read from a file."""
+        """Networks of the diagnosis; raises ModelError for a diagnosis that was read from a file."""
         if self._arrays is None:
             raise ModelError("a diagnosis read from a file has no networks; call lt.diagnose with the recording")
         return self._arrays
 
     @property
     def targets(self) -> Targets:
-        """Coordinates with the findings modelled, averaged over the explanations."""
+        """Coordinates with the findings in the model, averaged over the explanations."""
         return self.arrays.targets
 
     @property
     def baseline(self) -> Adjustment:
-        """The ordinary adjustment."""
+        """Adjustment of the ordinary model."""
         return self.arrays.baseline
 
     @property
     def adjusted(self) -> Adjustment:
-        """The adjustment with the findings modelled."""
+        """Adjustment with the findings in the model."""
         return self.arrays.adjusted
 
     def _lines(self) -> list[str]:
@@ -150,7 +152,7 @@ class Diagnosis(ResultFile):
         )
 
     def _findings(self) -> Table:
-        """Rows of findings, one per parameter; an unknown effect without parameters has one row."""
+        """Table of findings, one row per parameter; an unknown effect without parameters has one row."""
         nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
         return FINDINGS.filled(
             [
@@ -165,11 +167,12 @@ class Diagnosis(ResultFile):
     def modelled_change(self, recording: Recording) -> Floats:
         """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
 
-        `recording` is the recording that was diagnosed; readings without a modelled change have 0.
+        Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
+        recording that was diagnosed; readings without a modelled change have 0.
         """
         adjusted, state = self.adjusted, self.adjusted.state
         model = adjusted.problem.model
-        change = model.effects_shift(model.sightings(state), state.extra)
+        change = model.effects_shift(model.sightings(state), state.extra) + self.arrays.averaging_change
         change = np.where(adjusted.rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap(corrected[:, 1:])

@@ -1,10 +1,10 @@
 """Log marginal likelihoods of the hypotheses of a diagnosis.
 
 In the residual space (whitened residuals r, projector P off all that the ordinary adjustment estimates) a hypothesis
-with signature g and coefficients b ~ N(0, t^2 L), L the squares of plausible sizes, has the marginal likelihood ratio
-against none
+with signature g and coefficients b ~ N(0, t^2 L), L the squares of plausible sizes, has, relative to the model
+without it, the log marginal likelihood ratio
     log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2,
-d_j the eigenvalues of L^1/2 g' P g L^1/2 and z_j the scores L^1/2 g' r along its eigenvectors. It is averaged over
+with d_j the eigenvalues of L^1/2 g' P g L^1/2 and z_j the scores L^1/2 g' r along its eigenvectors. It is averaged over
 sizes t. Places, shapes and scales are averaged as well, which penalises hypotheses with many of them. Changes of the
 noise are averaged over a grid of sizes and enter by their restricted likelihood.
 
@@ -26,19 +26,19 @@ from ltsim.physics.effects.signature import Tunable
 from ltsim.recordings.recording import OBSERVABLES
 
 TIE, SCREENED_TIE = 1e-6, 1e-4
-"""Log evidences that differ by less are equal, in double and in single precision: the rounding of a sum depends on its
-order, which a matrix library chooses by the processor, and must not decide.
+"""Differences of log evidences up to which these count as equal, in double and in single precision: rounding of sums,
+which depends on the processor, must not decide.
 """
 
 
 def best_of(values: Floats) -> int:
-    """Index of the largest value; of equal ones, as along a plateau, that in their middle."""
+    """Index of the largest value; the middle one if several are equal, as on a plateau."""
     best = np.flatnonzero(values >= np.max(values) - TIE)
     return int(best[(len(best) - 1) // 2])
 
 
 def ranked(values: Floats, tie: float = TIE) -> Ints:
-    """Indices by falling value; values that are equal to their neighbours within `tie` in their given order."""
+    """Indices in the order of decreasing values; values equal within `tie` keep their order."""
     falling = np.nan_to_num(-values)
     order = np.argsort(falling, kind="stable")
     group = np.cumsum(np.diff(falling[order]) > tie)
@@ -52,7 +52,7 @@ def shares(logs: Floats) -> Floats:
 
 
 AT_ONCE = 500_000
-"""Simulated scores in memory at a time: some tens of MB."""
+"""Largest number of simulated scores in memory at a time, some tens of MB."""
 
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
@@ -70,7 +70,7 @@ def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Flo
 
 
 def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
-    """Log evidence with priors (h, sizes, trials), in batches of hypotheses."""
+    """Log evidence with priors, (h, sizes, trials), in batches of hypotheses."""
     step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
     for i in range(0, len(scores), step):
         weights, constants = forms_of(strength[i : i + step])
@@ -81,7 +81,7 @@ def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) ->
 
 
 def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
-    """Log of the sum of exp(logs) along axes; overwrites them."""
+    """Log of the sum of exp(logs) along axes; `logs` is overwritten."""
     top = logs.max(axis=axis, keepdims=True)
     np.exp(np.subtract(logs, top, out=logs), out=logs)
     total: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
@@ -98,7 +98,7 @@ def restricted(squares: Floats, share: Floats, factor: Floats) -> Floats:
 
 
 def log_means(values: Floats, groups: Ints, count: int) -> Floats:
-    """Log of the mean of exp(values) of each of `count` groups, none of them empty; (k,) or (k, trials) values."""
+    """Log of the mean of exp(values) in each of `count` non-empty groups, for values (k,) or (k, trials)."""
     order = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[order], np.arange(count))
     top = np.maximum.reduceat(values[order], starts, axis=0)
@@ -136,18 +136,19 @@ def posterior(
 
 
 def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (..., k) of Gram matrices in plausible sizes, and the matrix that turns scores along eigenvectors."""
+    """Eigenvalues (..., k) of Gram matrices in plausible sizes, and the matrix that transforms scores to them."""
     strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
     return np.maximum(strength, 0.0), spread[..., None] * vectors
 
 
 WIDE = 30.0
-"""Prior standard deviation, in plausible sizes, of reported sizes: wide enough not to shrink them, narrow enough to
-keep hardly determined combinations finite."""
+"""Prior standard deviation of reported sizes, in plausible sizes: it hardly shrinks them, but keeps undetermined
+combinations finite.
+"""
 
 
 def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
-    """Mean (k,), covariance (k, k) and log evidence of coefficients that are held to `WIDE` plausible sizes alone."""
+    """Mean (k,), covariance (k, k) and log evidence of coefficients with a prior of `WIDE` plausible sizes."""
     return posterior(gram, score, spread, np.array([WIDE]), np.zeros(1))
 
 
@@ -168,7 +169,7 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
 
 
 COARSEST = 1e4
-"""Largest factor on a plausible size of a tracker: millimetres for tenths of a micrometre."""
+"""Largest factor on the plausible size of a tracker: millimetres in place of tenths of a micrometre."""
 
 
 def times_to_noise(strength: Floats) -> float:
@@ -185,12 +186,13 @@ def times_to_noise(strength: Floats) -> float:
 
 
 MIN_SHARE, MIN_PROJECTED_SHARE = 0.01, 0.1
-"""An effect is reported to act on an observable if its share of the squared signature, and of the squared projected
-signature, are at least these: the adjustment spreads a shift of one observable over the others."""
+"""Smallest fractions of the squared signature, and of the squared projected signature, of an observable on which an
+effect is reported to act: the adjustment spreads a shift of one observable over the others.
+"""
 
 
 def active_observables(use: Bools, done: Floats, projected: Floats) -> tuple[str, ...]:
-    """Observables on which an effect acts; empty where it acts on all.
+    """Observables on which an effect acts; empty for all.
 
     `done` (r,) is its whitened shift of the readings in `use` (n, 3), `projected` (r,) the projection of that.
     """
@@ -199,7 +201,7 @@ def active_observables(use: Bools, done: Floats, projected: Floats) -> tuple[str
 
 
 def _share(use: Bools, shift: Floats) -> Floats:
-    """Share (3,) of the squares of a shift (r,) in each observable."""
+    """Fraction (3,) of the squares of a shift (r,) in each observable."""
     kind = np.nonzero(use)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
     fraction: Floats = squares / max(float(squares.sum()), 1e-300)
@@ -207,11 +209,13 @@ def _share(use: Bools, shift: Floats) -> Floats:
 
 
 SHARES = np.geomspace(0.05, 1.0, 9)
-"""Relative discrepancy of an unmodelled cause from the best hypothesis, log-uniform from hardly visible to complete."""
+"""Relative discrepancies of an unmodelled cause from the best hypothesis, log-uniform from hardly
+visible to complete.
+"""
 
 
 def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:
-    """Log Bayes factor of an unmodelled cause that resembles a hypothesis, against the hypothesis itself.
+    """Log Bayes factor of an unmodelled cause that resembles a hypothesis, relative to the hypothesis itself.
 
     Such a cause differs from the hypothesis by a random shift of each reading of standard deviation delta times the rms
     shift in its observable, delta log-uniform over `SHARES`. The residuals support or contradict that added variance

@@ -20,14 +20,14 @@ from ltsim.physics.laws.responses import RESPONSES
 
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
-MOST_STEPS = 6
+MOST_STEPS = 12
 """Largest number of steps of the local search."""
 AT_ONCE = 3_000_000
-"""Numbers of signatures in memory at a time: some tens of MB."""
+"""Largest number of entries of signatures in memory at a time, some tens of MB."""
 
 
 class Rows(NamedTuple):
-    """Rows of the residual space, and for readings the pointing (r,) of each."""
+    """Rows of the residual space, and the pointing (r,) of each row that is a reading."""
 
     place: Ints | slice
     pointing: Ints
@@ -100,7 +100,7 @@ class EvidenceCalculator:
         return whole
 
     def _batches(self, effects: Sequence[Tunable]) -> Iterator[tuple[Rows, list[int]]]:
-        """Effects that act on the same rows, as many at a time as may be held at once."""
+        """Batches of effects that act on the same rows, as large as memory permits."""
         by_rows: dict[int, tuple[Rows, list[int]]] = {}
         for i, effect in enumerate(effects):
             rows = self._rows_of(effect)
@@ -111,7 +111,7 @@ class EvidenceCalculator:
             yield from ((rows, part.tolist()) for part in parts)
 
     def _rows_of(self, effect: Tunable) -> Rows:
-        """The rows on which a law acts; of other effects all."""
+        """Rows on which a law acts; all rows for other effects."""
         place = (effect.stations, effect.targets) if isinstance(effect, Law) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, Law):
@@ -124,7 +124,7 @@ class EvidenceCalculator:
         return self._rows[place]
 
     def _signatures(self, effects: Sequence[Tunable], rows: Rows) -> tuple[Floats, Ints]:
-        """Whitened signatures (r, q) of effects side by side on their rows, and the edges between them."""
+        """Whitened signatures (r, q) of effects in adjacent columns on their rows, and the limits of each effect."""
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], Law):
             return np.hstack([self.space.signature(effect) for effect in effects]), edges
@@ -141,13 +141,13 @@ class EvidenceCalculator:
         return signatures, edges
 
     def _moved(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings by each component of a carrier, computed once."""
+        """Whitened change (m, c) of the readings by each component of a response, computed once."""
         if name not in self._carried:
             self._carried[name] = self.space.whiten(RESPONSES[name][1](self.space.sightings))
         return self._carried[name]
 
     def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:
-        """Cache of the Gram matrices of projected signatures, filled for new effects."""
+        """Computation of the Gram matrices of projected signatures of new effects, which are then cached."""
         new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new:
             return

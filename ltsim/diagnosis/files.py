@@ -1,4 +1,4 @@
-"""diagnosis.json, targets.csv, residuals and the recording of a diagnosis, written whole or not at all."""
+"""Writing of a diagnosis: diagnosis.json, targets.csv, residuals and recording, completely or not at all."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ COMPANIONS = (
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
-    """Write a diagnosis into a folder, with its recording where that is given; the diagnosis with the digests.
+    """Diagnosis with the digests of its files, which are written to a folder with its recording (if given).
 
     `targets.csv` holds the coordinates adjusted with the findings modelled, `targets.covariance.csv` their joint
     covariance with the variance between explanations, `residuals.csv` their residuals, `residuals_before.csv`

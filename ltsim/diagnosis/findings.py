@@ -30,7 +30,7 @@ from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.places import trackers_of
 from ltsim.physics.laws.regressors import words_of
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import AT_EACH_SET_UP, describe, region_words
+from ltsim.physics.laws.words import AT_EACH_SET_UP, describe, region_words, value_of
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -39,13 +39,13 @@ MOST_EQUIVALENTS = 3
 MOST_ESTIMATES = 12
 """Largest number of reported sizes of one change of the noise by target or set-up."""
 FEW_READINGS, MOSTLY = 4, 0.8
-"""Readings are listed if at most this many carry this share of the decrease of chi-square."""
+"""Largest number of listed readings, and fraction of the chi-square decrease that they must have together."""
 SURE = 2.0
 """A size is significant if it exceeds this many standard deviations (two-sided 5 %)."""
 BASELINE_KINDS = tuple(type(effect) for effect in BASELINE)
-"""Constants of the ordinary calibration: findings only where they exceed their prior."""
+"""Effects of the ordinary calibration, which are findings only if they exceed their prior."""
 IMPLAUSIBLE = 5.0
-"""A size is called implausible if it exceeds this multiple of a bad but plausible size by two standard deviations."""
+"""Multiple of a large but plausible size that an implausible size exceeds by two standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,10 @@ class Explained:
         return searcher.rank(others).with_rivals(noises).with_unmodelled_cause(likeness)
 
     def probability(self, member: int) -> float:
-        """Posterior probability that the named effect is the cause; if unknown, that it acts on these observables."""
+        """Posterior probability that the named effect is the cause.
+
+        For an unknown one, that it acts on these observables.
+        """
         hypothesis, ranking = self.model.members[member], self.rankings[member]
         if hypothesis.is_catalogued:
             return ranking.probabilities().get(hypothesis.name, 0.0)
@@ -100,7 +103,10 @@ class Explained:
 
     @cached_property
     def withheld(self) -> tuple[str, ...]:
-        """Keys of improbable members: modelled, not reported; the strongest is reported if nothing else is."""
+        """Keys of improbable members, which are in the model but not reported.
+
+        The strongest is reported if there is no other finding.
+        """
         members, gains = self.model.members, [gain.sum() for gain in self.gains]
         doubtful = [
             self.chance(i) < LIKELY and (self.has_test_findings or gains[i] < max(gains)) for i in range(len(members))
@@ -110,7 +116,7 @@ class Explained:
     def chance(self, member: int) -> float:
         """Probability that a member is real, whatever its name.
 
-        0 if no size exceeds `SURE` standard deviations, or if it has more parameters than the effective number of
+        It is 0 if no size exceeds `SURE` standard deviations, or if it has more parameters than the effective number of
         readings that support it (participation ratio), or if neither place, observable nor form is determined.
         """
         effect, gain = self.refit.effects[member], self.gains[member]
@@ -179,7 +185,7 @@ class Explained:
         )
 
     def _readings(self, gain: Floats) -> str:
-        """A sentence on the readings that carry a gain (m,), where they are few."""
+        """Sentence on the readings with most of a gain (m,), if they are few."""
         use, recording = self.case.searcher.space.use, self.case.recording
         reading_gain = gain[: int(use.sum())]
         worst = np.argsort(-reading_gain)
@@ -194,7 +200,7 @@ class Explained:
             f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
             for i, k in at
         )
-        return f" Most of it lies in the {', the '.join(names)}."
+        return f" Most of it is in the {', the '.join(names)}."
 
     def _p_located(self, member: int) -> float:
         """Probability of all explanations with the observables, place and covariates of a member.
@@ -214,7 +220,7 @@ class Explained:
         return self.rankings[member].share(lambda h: located(h.effect) == scope)
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
-        """Scope of an effect; the set-ups of one of several instruments are that instrument."""
+        """Scope of an effect; if it covers all set-ups of one of several instruments, that instrument."""
         where = where_of(effect, carried)
         for tracker in trackers_of(self.case.searcher.space.sightings, self.case.recording.instruments):
             if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
@@ -230,7 +236,7 @@ class Explained:
             declared = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
-        implausible = " Such a size is hardly plausible for this cause: check it, and think of others."
+        implausible = " Such a size is hardly plausible for this cause: check other causes too."
         return implausible if _implausible(effect, estimates) else ""
 
     def _constants(self, effect: Tunable) -> tuple[Estimate, ...]:
@@ -244,13 +250,13 @@ class Explained:
         return tuple(Estimate.of(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True))
 
     def _instrument(self, effect: Tunable) -> int:
-        """The instrument at whose set-ups an effect acts."""
+        """Index of the instrument whose set-ups an effect is confined to."""
         recording = self.case.recording
         at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == at][0])
 
     def _estimates(self, member: int, hypothesis: Hypothesis, others: Model) -> tuple[Estimate, ...]:
-        """The sizes of a member, by rows where the recording has no clock."""
+        """Sizes of a member, in rows in place of time for a recording without clock."""
         refitted = [Estimate.of(*estimate) for estimate in self.refit.estimates[member] if np.isfinite(estimate.sigma)]
         if isinstance(hypothesis.effect, BASELINE_KINDS):
             return self._constants(hypothesis.effect)
@@ -258,8 +264,10 @@ class Explained:
         return estimates if self.case.recording.has_clock else tuple(without_clock(e) for e in estimates)
 
 
-def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
-    """Finding of a change of the noise, in the observables where it is significant."""
+def noise_finding(
+    hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, clock: bool = True
+) -> Finding:
+    """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
     effect = hypothesis.effect
     where = where_of(effect, _scattering(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
@@ -274,6 +282,9 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
             worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
+        if effect.band:
+            low, high = (value_of(effect.covariates[0], value, clock=clock) for value in effect.band)
+            most = f", from {low} to {high}"
         if effect.region is not None:
             most = f", {region_words(effect.region)}"
             rows += [
@@ -314,13 +325,13 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
 
 
 def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
-    """The probability of a name, and the likeliest others that are not excluded."""
+    """Probability of a name, and the most probable other names that are not excluded."""
     others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
     return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
-    """Scope of an effect; `carried`: observables that a law, or a change of the noise, does not specify."""
+    """Scope of an effect; `carried` are the observables if the effect itself does not specify them."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
         observables = carried or observables
@@ -338,24 +349,24 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 
 
 def law_words(law: Law, driver: str) -> str:
-    """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
+    """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
     suffix = AT_EACH_SET_UP if law.each else ""
     return f"{what} differs{suffix}" if law.driver.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 
 def place_of(**confined: tuple[str, ...]) -> Where:
-    """Scope with the given kinds confined, the others empty."""
+    """Scope confined to the given kinds, the others empty."""
     return Where(**dict.fromkeys(Where.model_fields, ()) | confined)
 
 
 def _without_empty(more: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries with a value."""
+    """Entries with a non-empty value."""
     return {key: value for key, value in more.items() if value}
 
 
 def _implausible(effect: Tunable, estimates: Sequence[Estimate]) -> bool:
-    """True if a size is far beyond a bad but plausible one, or negative where it cannot be."""
+    """True if a size is far beyond a plausible one, or negative for a positive parameter."""
     sizes = zip(effect.parameters, effect.spread.tolist(), strict=True)
     matched = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
     large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.factor for e, p, size in matched)

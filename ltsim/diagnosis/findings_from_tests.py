@@ -1,4 +1,4 @@
-"""Findings from tests, without the search: mistakes, reference values and constants that contradict the rest."""
+"""Findings from tests, without the search: blunders, and contradicting reference values and constants."""
 
 import numpy as np
 
@@ -17,11 +17,11 @@ from ltsim.physics.effects.signature import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED = "declared coordinates"
-"""Name of the erroneous item where a point defines the axes."""
+"""Name of the erroneous item if a point defines the axes."""
 
 
 def gross_finding(gross: GrossFinding) -> Finding:
-    """The finding of a gross error whose size the network determines."""
+    """Finding of a gross error whose size the network determines."""
     return Finding(
         effect=gross.effect,
         known=True,
@@ -35,7 +35,7 @@ def gross_finding(gross: GrossFinding) -> Finding:
 
 
 def axis_finding(test: ReferenceTest) -> Finding:
-    """Finding of a point whose declared coordinates miss the axes of the other points."""
+    """Finding of a point whose declared coordinates contradict the axes of the other points."""
     rows = [
         Estimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.axes, test.error.tolist(), test.sigma_error.tolist(), strict=True)
@@ -86,7 +86,7 @@ def instrument_finding(contradiction: Contradiction) -> Finding:
 
 
 def _effect_of(constant: Parameter) -> str:
-    """The effect of the ordinary calibration that a constant belongs to."""
+    """Effect of the ordinary calibration to which a constant belongs."""
     return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
 
 
@@ -104,11 +104,11 @@ EFFECTS = {
     ("unit", "position"): "wrong-unit",
     ("height", "position"): "outlier",
 }
-"""Catalogue effect of a cause, by its kind and what it acts on; `outlier` and `unknown` for the others."""
+"""Catalogue effect of a cause, by its kind and the observable on which it acts; `outlier` and `unknown` for others."""
 
 
 def finding_of(test: Test) -> Finding:
-    """The finding of a test that was accepted."""
+    """Finding of an accepted test."""
     name = "outlier" if test.kind == "outlier" else EFFECTS.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
     rows: tuple[Estimate, ...] = ()

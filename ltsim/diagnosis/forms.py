@@ -18,12 +18,17 @@ from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
 from ltsim.physics.laws.regressor_library import waves
+from ltsim.physics.laws.regressors import simple
 from ltsim.scene.sightings import Sightings
 
-LEAST_SWITCHED = 2
-"""Smallest number of switching times within set-ups; single steps are effects of the catalogue."""
+LEAST_SWITCHED = {True: 1, False: 2}
+"""Smallest number of switching times within set-ups of laws with and without a region of the hall; single steps without
+a region are effects of the catalogue.
+"""
 MOST_PIECES, EARLY_STOP = 10, 3
-"""Largest number of steps and ramps, and of those tried after the evidence has last risen."""
+"""Largest number of steps and ramps, and number of additional ones that are tried after the evidence has last
+increased.
+"""
 
 
 def evaluate_forms(
@@ -35,14 +40,14 @@ def evaluate_forms(
     whole = log_prior + float(np.log(len(law.driver.spreads)))
     tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
-    switched = (
-        _switched(exact, law, whole + float(np.log(P_SWITCHED * _courses(law, sightings))), base) if pieces else []
-    )
+    always, share = law.at_all_times(), float(np.log(P_SWITCHED * _courses(law, sightings)))
+    switched = _switched(exact, always, whole + share, base) if pieces else []
     whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
     tried += switched
     each = law.at_each(sightings)
     tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
     tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
+    tried += _forms(exact, always, whole, base) if always != law else []
     best = []
     for name in {h.name: None for h in tried}:
         same_name = [h for h in tried if h.name == name]
@@ -52,7 +57,7 @@ def evaluate_forms(
 
 
 def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """The forms of a law at its place."""
+    """Functional forms of a law at its place."""
     forms = law.forms(exact.space.sightings)
     whole = sum(FORMS[kind] for kind in forms)
     shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(sets))) for kind, sets in forms.items()}
@@ -69,7 +74,7 @@ def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> li
 
 
 def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """Law made of a few steps and ramps, by forward selection while the evidence rises."""
+    """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
     atoms = law.atoms(exact.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
@@ -100,25 +105,32 @@ def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
 
 
 def _courses(law: Law, sightings: Sightings) -> int:
-    """Number of drivers, of which this one is among the best, that a switch may turn out to be: every wave's rate."""
+    """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
     return (
         sum(wave.covariates == law.driver.covariates for wave in waves(sightings)) if law.driver.kind == "wave" else 1
     )
 
 
 def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
-    """Law that is switched on and off, always by the same amount: intervals are toggled while the evidence rises."""
+    """Forms of a law that is switched on and off with a constant amount.
+
+    Intervals are toggled while the evidence increases.
+    """
     sightings = exact.space.sightings
     edges = law.edges(sightings)
     if len(edges) < EARLY_STOP or len(law.targets) == 1:
         return []
+    if law.is_in_the_hall:  # where it stands is refined before when
+        law = exact.refine_locally([law], base)[0][0]
     ways, count = len(law.carrier.ways), len(edges)
     gram, score = exact.moments([law.in_pieces(edges)], base)[0]
-    beyond = (sightings.time[:, None] > [edge.constant for edge in edges]).mean(axis=0)
-    sizes = np.sqrt(beyond)  # columns of steps have an rms of one
+    after = sightings.time[:, None] > [edge.constant for edge in edges]
+    sizes = np.sqrt(after.mean(axis=0))  # columns of steps have an rms of one
+    squares = law.columns(sightings) ** 2 if law.is_in_the_hall else np.ones((len(after), 1))
+    beyond = (squares * after).mean(axis=0)
     gram = gram.reshape(ways, count, ways, count) * np.outer(sizes, sizes)[:, None, :]
     score = score.reshape(ways, count) * sizes
-    spans = -np.diff(np.concatenate([[1.0], beyond, [0.0]]))  # share of the pointings before, between and after edges
+    spans = -np.diff(np.concatenate([[1.0], beyond, [0.0]]))  # share of the squares before, between and after edges
     first, last = np.triu_indices(count + 1, 1)
     span = np.arange(count + 1)
     intervals = (span > first[:, None]) & (span <= last[:, None])
@@ -135,7 +147,10 @@ def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) ->
         if value > best + TIE:
             on, best, taken = states[-1], value, len(states) - 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    if sum(_is_within_a_set_up(edge.constant, sightings) for edge in chosen) < LEAST_SWITCHED:
+    if law.is_in_the_hall and on[0]:
+        chosen.insert(0, simple("time", "step", -np.inf))
+    least = LEAST_SWITCHED[law.is_in_the_hall]
+    if sum(_is_within_a_set_up(edge.constant, sightings) for edge in chosen) < least:
         return []
     refined, value = exact.refine_locally([law.switched(chosen)], base)[0]
     prior -= float(taken * price)
@@ -143,7 +158,7 @@ def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) ->
 
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
-"""Number of points of a reported curve, of each cycle of a wave, and the largest number."""
+"""Number of points of a reported curve, of each cycle of a wave, and largest number of points."""
 
 
 def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:

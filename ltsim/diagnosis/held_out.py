@@ -1,7 +1,7 @@
 """Cross-validated prediction error: the whole search is repeated without each fold of the readings.
 
-Pointings are dealt into five folds. Without a fold's readings the adjustment predicts them with the error
-e = P_FF^-1 r_F of covariance P_FF^-1, in whitened units, P the projector of the whole network and r its residuals.
+Pointings are divided at random into five folds. Without a fold's readings the adjustment predicts them with the error e
+= P_FF^-1 r_F of covariance P_FF^-1, in whitened units, P the projector of the whole network and r its residuals.
 Effects, places, shapes and sizes are then estimated from the rest alone, and their model is subtracted from all
 readings before the fold is predicted again. Both errors are measured by e' P_FF e, the covariance of the plain
 prediction: 1 per reading where model and noise hold. A spurious finding does not predict held-out readings.
@@ -24,13 +24,13 @@ from ltsim.diagnosis.evidence import wide_posterior
 from ltsim.diagnosis.search import Searcher
 
 FOLDS = 5
-"""Folds of the readings, the usual number of cross-validation: each search has 80 % of them."""
+"""Number of folds, usual in cross-validation: each search has 80 % of the readings."""
 
 
 class HeldOut(NamedTuple):
     """Root mean square errors in standard deviations: of the adjustment alone, and with the model of a fold.
 
-    None where nothing can be predicted; `after` also without a search.
+    Both are None if nothing can be predicted; `after` also without a search.
     """
 
     before: float | None = None
@@ -45,7 +45,7 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
     space : ResidualSpace
         Its whitening defines the unit of the errors.
     seed : int
-        Of the folds.
+        Seed of the random folds.
     searcher : Searcher, optional
         Search on the same readings; without one only `before` is given.
     threshold : float
@@ -66,7 +66,7 @@ def held_out(space: ResidualSpace, seed: int, searcher: Searcher | None = None, 
 
 
 def folds(space: ResidualSpace, seed: int) -> list[Ints]:
-    """Rows of the used readings of each fold of whole pointings; folds are drawn."""
+    """Rows of the used readings of each fold of complete pointings, drawn at random."""
     pointing = np.nonzero(space.use)[0]
     dealt = stream(seed, "diagnose", "folds").permutation(len(space.use)) % FOLDS
     groups = (np.flatnonzero(dealt[pointing] == fold) for fold in range(FOLDS))
@@ -74,7 +74,10 @@ def folds(space: ResidualSpace, seed: int) -> list[Ints]:
 
 
 def _square(residual: Floats, values: Floats, vectors: Floats) -> float:
-    """R' (1 - H)^-1 r on a fold, by the spectrum of H there; what lies across all eigenvectors has redundancy one."""
+    """Quadratic form r' (1 - H)^-1 r on a fold, from the eigenvalues of H there.
+
+    The complement of the eigenvectors has redundancy one.
+    """
     along = (vectors.T @ residual) ** 2
     predicted = values < 1.0 - UNCHECKED
     return float(residual @ residual - along.sum() + np.sum(along[predicted] / (1.0 - values[predicted])))

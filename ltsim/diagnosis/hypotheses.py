@@ -21,7 +21,7 @@ from ltsim.physics.effects.signature import Tunable
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Possible cause of a misfit, and the log prior of its place and shape.
+    """Hypothesis: possible cause of a misfit, with the log prior of its place and shape.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Model:
-    """A model: a set of hypotheses; its basis and residual are computed on demand.
+    """Model: a set of hypotheses; its basis and residual are computed on demand.
 
     Attributes
     ----------
@@ -121,13 +121,14 @@ class Model:
 
 
 MISFIT = 0.05
-"""Relative model error assumed for an empirical law: this fraction of the chi-square that it explains is not attributed
-to a second effect."""
+"""Relative model error of an empirical law: this fraction of the chi-square that it explains is not attributed to a
+second effect.
+"""
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Hypotheses given a model, in the order of their evidence.
+    """Ranking of hypotheses given a model, in the order of their evidence.
 
     Attributes
     ----------
@@ -143,7 +144,7 @@ class Ranking:
     log_evidence_unmodelled: float = -np.inf
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
-        """Ranking with further hypotheses."""
+        """Ranking with additional hypotheses."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
         total = float(log_sum_exp(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total)
@@ -188,19 +189,21 @@ class Ranking:
 
 
 def likeliest(chances: Mapping[str, float]) -> str:
-    """Most probable name; `unknown` where that is more probable than all names together."""
+    """Most probable name; `unknown` if that is more probable than all names together."""
     named = {name: chance for name, chance in chances.items() if name != "unknown"}
     return "unknown" if chances.get("unknown", 0.0) > sum(named.values()) else max(named, key=lambda name: named[name])
 
 
 NEGLIGIBLE = 6.0
-"""Grid sizes whose log evidence is this far below the maximum are dropped from the sum (relative error e^-6 each)."""
+"""Deficit of log evidence below the maximum from which grid sizes are dropped from the sum
+(relative error e^-6 each).
+"""
 
 
 def _over_sizes(model: Model) -> float:
     """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, averaged over all sizes t.
 
-    Only sizes near the best of a member, with the others at their best, are summed.
+    Only sizes near the optimum of a member, with the others at their optimum, are summed.
     """
     gram, score = model.products
     spread, owner = _spreads(model.members)
@@ -230,7 +233,7 @@ def _over_sizes(model: Model) -> float:
 
 
 def _spreads(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
-    """Plausible sizes (k,) of all coefficients, and which member each belongs to."""
+    """Plausible sizes (k,) of all coefficients, and the member (k,) of each."""
     each = [h.spread for h in members]
     return np.concatenate(each), np.repeat(np.arange(len(each)), [len(spread) for spread in each])
 

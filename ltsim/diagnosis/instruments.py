@@ -1,4 +1,4 @@
-"""Constants of each instrument by a recording, compared with the other instruments and with earlier calibrations."""
+"""Constants of each instrument from a recording, compared with other instruments and with earlier calibrations."""
 
 from __future__ import annotations
 
@@ -34,18 +34,19 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
-"""Prior variance, in guarantees, of a constant that is selected as changed while the others are tested."""
+"""Prior variance, relative to the specification, of a constant that is selected as changed while others are tested."""
 MIN_EIGENVALUE = 1e-6
-"""Changes are distinguishable if the smallest eigenvalue of their correlation exceeds this (rounding); of others the
-more probable is reported."""
+"""Smallest eigenvalue of the correlation of distinguishable changes (rounding); of others the more probable is
+reported.
+"""
 TINY = 1e-12
-"""A constant is not tested if its information is below this (rounding)."""
+"""Information below which a constant is not tested (rounding)."""
 WORDS = {True: "its declared correction", False: "the other instruments"}
-"""Name of the reference that a constant of a corrected instrument, or of others, is compared with."""
+"""Text of the reference with which a constant of a corrected instrument, or of another one, is compared."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Constants and determined combinations of every instrument of a recording."""
+    """Entries of the constants and determined combinations of every instrument of a recording."""
     return tuple(_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
@@ -63,7 +64,7 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A constant of an instrument that contradicts its reference.
+    """Contradiction between a constant of an instrument and its reference.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class Change:
-    """A possible change of a constant, of one instrument or of several in common.
+    """Possible change of a constant, of one instrument or of several in common.
 
     Attributes
     ----------
@@ -115,7 +116,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Expected:
-    """Expected constants of all instruments, in units of the makers' guarantees, and changes that may have occurred.
+    """Expected constants of all instruments, in units of the specification, and possible changes.
 
     `mean` (I p,), `covariance` (I p, I p).
     """
@@ -126,7 +127,7 @@ class Expected:
 
 
 def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
-    """Constants that differ from those of the other instruments, or from zero where the instrument is corrected.
+    """Constants that differ from those of the other instruments, or from zero for a corrected instrument.
 
     Of two instruments that differ the readings do not identify the one in error; the one farther from zero is the more
     probable. An offset common to all corrected instruments is one change, possibly of their reference.
@@ -148,11 +149,11 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
 
 
 def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[Contradiction]:
-    """Constants that differ from their expectation, each with more than `least` of log evidence given the others.
+    """Constants that differ from their expectation, each with more than `least` log evidence given the others.
 
-    Forward selection with exchange, selected constants having the prior variance `CHANGED`. The readings without the
-    prior of the adjustment give N x = b + noise of covariance N. With x ~ N(m, V) expected, the information on a change
-    of constant k is (V + N^-1)^-1[k, k].
+    They follow from forward selection with exchange, in which selected constants have the prior variance `CHANGED`. The
+    readings without the prior of the adjustment give N x = b + noise of covariance N. With x ~ N(m, V) expected, the
+    information on a change of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -169,7 +170,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     ways = ways.reshape(len(ways), unit.size)
 
     def logs(others: Collection[int]) -> Floats:
-        """Log evidence (h,) of each change given others."""
+        """Log evidence (h,) of each change given the others."""
         given = ways[list(others)]
         score, weight = score_test(likelihood.information, surprise, expected.covariance + CHANGED * given.T @ given)
         strength, score_along = np.einsum("hi,ij,hj->h", ways, weight, ways), ways @ score
@@ -233,26 +234,28 @@ def _change(gap: float, variance: Floats | float, weights: Floats | float) -> fl
 
 
 MIN_INFORMATION = 1e-3
-"""Lower bound on the information of earlier calibrations on a constant, in guarantees (avoids division by zero)."""
+"""Smallest information of earlier calibrations on a constant, in units of the specification (avoids
+division by zero).
+"""
 SCATTERS = np.geomspace(0.05, 1e4, 80)
-"""Grid of the true variance of a constant over the sample variance of a few calibrations."""
+"""Grid of the ratio of the true variance of a constant to the sample variance of a few calibrations."""
 PRIOR_DOF = 4
 """Prior degrees of freedom from the spreads of the other constants (Smyth 2004): most agree within a factor of two."""
 
 
 @dataclass(frozen=True)
 class HistoryExpectation:
-    """Expectation of the constants of a recording's instruments by earlier calibrations."""
+    """Expectation of the constants of a recording's instruments from earlier calibrations."""
 
     earlier: EarlierCalibrations
     expected: ParameterPrior
-    """Mean and covariance, the day-to-day spread in it."""
+    """Mean and covariance, including the day-to-day spread."""
     guarantee: Floats
-    """(I, p) [SI], the maker's: the unit of all that is computed here."""
+    """Specification of the manufacturer, (I, p) [SI], the unit of all computations here."""
 
     @classmethod
     def of(cls, earlier: EarlierCalibrations, recording: Recording, construction: Construction) -> HistoryExpectation:
-        """Raise RecordError where the earlier calibrations are of other instruments or another construction."""
+        """Expectation from earlier calibrations; raises RecordError for other instruments or another construction."""
         names = recording.instruments
         if len(earlier.instruments) < min(len(names), 2):
             raise RecordError(
@@ -263,7 +266,7 @@ class HistoryExpectation:
         return cls(earlier, earlier.over(nominal, construction, names), nominal.sigma)
 
     def contradictions(self, adjustment: Adjustment, least: float) -> list[Contradiction]:
-        """Constants that have changed, each with more than `least` of log evidence, the most certain first."""
+        """Constants that have changed, each with more than `least` log evidence, the most significant first."""
         parameters, unit = adjustment.construction.parameters, self.guarantee
         at = [k for k, p in enumerate(parameters) if p.name in self.earlier.parameters]
         names = [parameters[k].name for k in at]

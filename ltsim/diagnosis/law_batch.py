@@ -1,7 +1,7 @@
 """Batch of laws: response terms x regressors x places, scored by sums over the pointings of each place.
 
-The score of carrier c with driver d at a place is the sum over its pointings of (derivative of c) x (column of d) x
-(residual): one matrix product for the pointings that lie in the same places, however many hypotheses.
+The score of response c with regressor d at a place is the sum over its pointings of (derivative of c) x (column of d) x
+(residual): one matrix product for all pointings that belong to the same places, for any number of hypotheses.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import ResponseTerm
 
 CHUNK = 1000
-"""Pointings whose products are in memory at a time."""
+"""Number of pointings whose products are in memory at a time."""
 PAIRS = 500_000
-"""Products of columns with each other in memory at a time: the size of a cache."""
+"""Number of products of columns in memory at a time, the size of a cache."""
 AT_ONCE = 10_000
-"""Columns at places whose products with all vectors are in memory at a time: some tens of MB."""
+"""Number of columns at places whose products with all vectors are in memory at a time, some tens of MB."""
 MOST_HITS = 6
 """Largest number of hypotheses per place that are evaluated again."""
 
 
 @dataclass(frozen=True)
 class ScreenedLaw:
-    """A screened law and its log evidence with its prior."""
+    """Screened law with its log evidence including the prior."""
 
     carrier: ResponseTerm
     driver: Regressor
@@ -64,7 +64,7 @@ class RowPartition:
 
     @classmethod
     def of(cls, places: Sequence[Place], count: int) -> RowPartition:
-        """The cells of places among `count` pointings."""
+        """Partition of `count` pointings by the places that they belong to."""
         inside = np.zeros((len(places), count), dtype=bool)
         for here, place in zip(inside, places, strict=True):
             here[place.rows] = True
@@ -74,7 +74,7 @@ class RowPartition:
         return cls(order, edges, sp.csr_array(inside[:, first].astype(np.float32)))
 
     def parts(self, most: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Chunks of at `most` so many pointings: slice of the order, pointings, and slice of each cell in the chunk."""
+        """Chunks of at most `most` pointings: slice of the order, pointings, and slice of each cell in the chunk."""
         for start in range(0, len(self.order), most):
             end = min(start + most, len(self.order))
             first, last = np.searchsorted(self.edges, [start, end - 1], side="right") - 1
@@ -83,13 +83,13 @@ class RowPartition:
             yield slice(start, end), self.order[start:end], here
 
     def summed(self, parts: Any) -> Any:
-        """Sums (P, ...) over places of those over cells (cells, ...)."""
+        """Sums (P, ...) over places from the sums over cells (cells, ...)."""
         return (self.members @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
 
 
 @dataclass(frozen=True)
 class LawBatch:
-    """Carriers of one kind and c components, drivers alike in columns k and scales, P places.
+    """Batch of laws: responses of one kind with c components, regressors with equal columns k and scales, P places.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class LawBatch:
 
     @cached_property
     def _spreads(self) -> list[Floats]:
-        """(D, c k) standard deviations for each scale."""
+        """Prior standard deviations (D, c k) for each scale."""
         ways = self.weights.shape[3]
         return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
 
@@ -132,7 +132,7 @@ class LawBatch:
         return hits, float(log_sum_exp(values.ravel())), null
 
     def _at(self, probe: NullEnsemble, part: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d) of some drivers with priors, and its log sum over trials.
+        """Log evidence (P, C, d) of some regressors with priors, and its log sum over trials.
 
         The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
         laws are evaluated again without this approximation.
@@ -162,12 +162,12 @@ class LawBatch:
         return turned
 
     def _columns(self, part: slice) -> Singles:
-        """Columns (n, d k) of some drivers."""
+        """Columns (n, d k) of some regressors."""
         k = self.columns.shape[1] // len(self.drivers)
         return self.columns[:, part.start * k : part.stop * k]
 
     def _sums(self, probe: NullEnsemble, chosen: slice) -> Singles:
-        """Products (P, C, d, c k, v) of columns of some drivers with the probe's vectors at all places."""
+        """Products (P, C, d, c k, v) of columns of some regressors with the ensemble's vectors at all places."""
         _, _, count, ways = self.weights.shape
         columns, vectors = self._columns(chosen), probe.vectors.shape[1]
         sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
@@ -182,7 +182,7 @@ class LawBatch:
         return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
 
     def _self_products(self, chosen: slice) -> Floats:
-        """Products (P, C, d, c k, c k) of the columns of each hypothesis with each other."""
+        """Gram matrices (P, C, d, c k, c k) of the columns of each hypothesis."""
         _, _, count, ways = self.weights.shape
         columns, d = self._columns(chosen), chosen.stop - chosen.start
         k = columns.shape[1] // d

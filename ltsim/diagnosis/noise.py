@@ -1,4 +1,4 @@
-"""Hypotheses about the noise: some readings scatter more (or less) than declared.
+"""Hypotheses of noise: some readings scatter more (or less) than declared.
 
 With r the whitened residuals, Q an orthonormal basis of what is estimated and W = 1 - 1/s of the variance factors s,
 the restricted likelihood ratio is exactly
@@ -10,9 +10,8 @@ averaged over a grid, a fine one for the best, so these hypotheses compete with 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,39 +24,30 @@ from ltsim.diagnosis.evidence import log_means, restricted, shares
 from ltsim.diagnosis.noise_groups import (
     MUCH_WORSE,
     NOISY_GROUP_SHARE,
-    SCATTERING,
     Amounts,
     Level,
     NoiseByGroup,
 )
+from ltsim.diagnosis.noise_patterns import variance_functions
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
-from ltsim.physics.laws.places import Place, clusters, trackers_of
-from ltsim.physics.laws.regressor_library import further
+from ltsim.physics.laws.places import trackers_of
 from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction
-from ltsim.recordings.recording import OBSERVABLES
-from ltsim.scene.regions import regions_of
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
-EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0, 75.0)
-"""Added variances over the declared: of all readings, at the maximum of a pattern, of targets."""
-MOST_TARGETS = 60
-"""Single targets and clusters of targets are hypotheses in networks of at most this many targets."""
 COMPARED = 6
 """Number of families that are evaluated without approximation, the most probable first."""
 LEAST_SHARE = 0.05
-"""Lower bound on the redundancy of a mean of repeats (its diagonal form may be negative)."""
+"""Smallest redundancy of a mean of repeats (its diagonal form may be negative)."""
 FINE = 48
-"""Number of sizes over which the best hypotheses are averaged: steps of a tenth."""
-NOISY_REGIONS = ("xyz", "xy", "x", "y")
-"""Shapes of the regions of the hall in which lines of sight may have more noise."""
+"""Number of sizes over which the best hypotheses are averaged, in steps of a tenth."""
 LARGEST = 400.0
-"""Upper bound of a size in units of its plausible one."""
+"""Largest size in units of the plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
 """Points, half-width in deviations and number of the grids on which the posterior of a size is summed: sums of a normal
 density are exact for spacings up to 1.5 deviations."""
@@ -82,40 +72,19 @@ class NoiseHypothesis:
         return log_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
-def _patterns(
-    sightings: Sightings, trackers: Sequence[Place]
-) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Variance functions outside the catalogue: family, function, sizes; that of an observable is the noise level."""
-    regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
-    regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
-    places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
-    for at, acts, name, falling in product(places, SCATTERING[:-1], [*regressors, *further(sightings)], (False, True)):
-        pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
-        yield " and ".join(acts), pattern, GROWING
-    names = sightings.target_names
-    groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
-    for acts in SCATTERING:
-        for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
-            yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
-        for group in groups:
-            yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
-    for region, acts in product(regions_of(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)):
-        yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
-
-
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Every change of the noise with one pattern over a grid of sizes, also for each of several `instruments`."""
+    """Changes of the noise with one pattern over a grid of sizes, also for each of several `instruments`."""
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
-    for family, pattern, sizes in _patterns(sightings, trackers_of(sightings, instruments)):
+    for family, pattern, sizes in variance_functions(sightings, trackers_of(sightings, instruments)):
         hypotheses += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return hypotheses
 
 
 @dataclass(frozen=True)
 class NoiseBank:
-    """Noise hypotheses as linear forms of squares of residuals, and of squares of their means over repeats.
+    """Noise hypotheses as linear forms of squared residuals, and of squared means of residuals over repeats.
 
     Attributes
     ----------
@@ -141,7 +110,7 @@ class NoiseBank:
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True) -> NoiseBank:
-        """Build the bank on a residual space.
+        """Bank of noise hypotheses on a residual space.
 
         Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
         """
@@ -149,8 +118,15 @@ class NoiseBank:
         means = sp.csr_array(sp.vstack(repeated))
         used, variance = space.use, space.sigma**2
         parts: list[tuple[Ints, Floats]] = []
+        added: dict[VarianceFunction, Floats] = {}  # per unit of the size, of which the variance is linear
         for h in hypotheses:
-            factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
+            if isinstance(h.effect, VarianceFunction):
+                if h.effect not in added:
+                    unit = h.effect.variance(space.sightings, space.sigma, np.ones(1))
+                    added[h.effect] = (unit / variance)[used] - 1.0
+                factor = 1.0 + h.values[0] * added[h.effect]
+            else:
+                factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
             if faces := getattr(h.effect, "repeating", ""):
                 grown = [
                     _variance_of_mean(m, factor if kind == faces else np.ones(0))
@@ -173,7 +149,7 @@ class NoiseBank:
         return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
-        """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
+        """Log likelihood ratio (h, trials) for whitened residuals (m, trials) with redundancy (m,)."""
         squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
         share = np.concatenate([redundancy, _share_of_means(self.means, redundancy)])
         ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - (self.logs @ share)[:, None])
@@ -214,7 +190,7 @@ class NoiseBank:
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.data.sum(dtype=np.float64)))
 
     def _finely(self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a family, with a fine grid of sizes of its best effect: each alone, or all of them."""
+        """Log evidence of a family with a fine grid of sizes of its best effect: each alone, or all together."""
         effect = self.hypotheses[likeliest].effect
         same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
         tried = np.array([self.hypotheses[i].values for i in members[same].tolist()])
@@ -247,7 +223,10 @@ class NoiseBank:
 
 
 def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
-    """Rows (g, m) that add up readings of one kind, target, station and perhaps face, over the root of their number."""
+    """Matrix (g, m) that adds readings of one kind, target, station and optionally face.
+
+    The sums are divided by the square root of their number of terms.
+    """
     s = space.sightings
     pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH_FACE))
     key = (3 * pair[:, None] + np.arange(3))[space.use]
@@ -274,7 +253,7 @@ def _variance_of_mean(means: sp.csr_array, factor: Floats) -> Floats:
 def reml_gain(
     space: ResidualSpace, sigma: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """Function from sizes (k,) to the REML gain (k,) of each variance parameter.
+    """Function from sizes (k,) to the gain (k,) of restricted log likelihood for each variance parameter.
 
     Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3); residuals
     (m,) are whitened by those of the space.

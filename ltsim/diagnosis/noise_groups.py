@@ -1,4 +1,4 @@
-"""Noise of groups of readings: the level of the whole recording, of targets, set-ups, and readings in a heavy tail."""
+"""Noise of groups of readings: level of the recording, of targets, of set-ups, and of readings in a heavy tail."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from ltsim.physics.laws.variance import VarianceFunction, owners_of
 from ltsim.recordings.recording import OBSERVABLES
 
 FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
-"""Factors on a variance that are averaged over: steps of a tenth; for one group among many clearly larger ones."""
+"""Factors on a variance that are averaged over, in steps of a tenth; for one group among many only
+clearly larger ones.
+"""
 NOISY_GROUP_SHARE = np.array([0.05, 0.15, 0.5])
-"""Shares of all targets, or set-ups, that have more noise than declared, averaged over."""
+"""Fractions of all targets, or set-ups, with more noise than declared, averaged over."""
 MIN_READINGS, MOST_READINGS = 60, 4000
-"""Numbers of readings with which a heavy tail is a hypothesis: of fewer none is seen, more cost too much."""
+"""Smallest and largest number of readings with a heavy-tail hypothesis; fewer show none, more cost too much."""
 MUCH_WORSE = np.array([4.0, 12.0, 36.0, 100.0])
 """Factors on the variance of a reading in the tail that are averaged over: two to ten standard deviations."""
 SCATTERING: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
-"""Sets of observables that may have more noise."""
+"""Sets of observables with possibly more noise."""
 MIN_GROUPS = 4
-"""Noise by target, or by station, is a hypothesis if there are at least this many of them."""
+"""Smallest number of targets, or stations, with a hypothesis of separate noise."""
 
 
 @dataclass(frozen=True)
 class Amounts:
-    """A change of the noise with a variance factor for each of g groups; `members` (g, m) holds their rows."""
+    """Change of the noise with a variance factor for each of g groups; `members` (g, m) are the flags of their rows."""
 
     effect: NoiseSignature
     members: sp.csr_array
@@ -41,11 +43,11 @@ class Amounts:
 
     @property
     def name(self) -> str:
-        """The family."""
+        """Name of the family."""
         return self.effect.name
 
     def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (g, trials) of each amount, sizes averaged."""
+        """Log evidence (g, trials) of each group, averaged over sizes."""
         squares, share = self.members @ residual**2, self.members @ redundancy
         total = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
         return total - np.log(len(self.factors))
@@ -79,7 +81,7 @@ class Level(Amounts):
 
 
 class NoiseByGroup(Amounts):
-    """Noise that differs between targets, or stations: a share of them has more than declared."""
+    """Noise that differs between targets, or stations: a fraction of them has more than declared."""
 
     @classmethod
     def all_of(cls, space: ResidualSpace) -> tuple[NoiseByGroup, ...]:
@@ -100,7 +102,7 @@ class NoiseByGroup(Amounts):
 
     @classmethod
     def _of_readings(cls, space: ResidualSpace, acts: tuple[str, ...]) -> NoiseByGroup:
-        """Noise with a heavy tail: a share of the readings of some observables has more than declared."""
+        """Hypothesis of a heavy tail: a fraction of the readings of some observables has more noise than declared."""
         pointing, kind = np.nonzero(space.use)
         column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
@@ -112,7 +114,7 @@ class NoiseByGroup(Amounts):
 
     @property
     def name(self) -> str:
-        """The family."""
+        """Name of the family."""
         return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:

@@ -22,14 +22,14 @@ from ltsim.solve.projection import BasisProjection
 TRIALS = 300
 """Smallest number of simulated recordings without any effect: p-values down to 1 / 301."""
 GRAM_DRAWS = 200
-"""Simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
+"""Number of simulated residuals for Monte-Carlo Gram matrices: relative standard deviation sqrt(2 / 200), 10 %."""
 MOST_UNKNOWNS = 500
-"""Gram matrices use the basis in networks of at most this many unknowns (cost)."""
+"""Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
 
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """A residual space with the vectors whose products with signatures give scores and Gram matrices.
+    """Null ensemble: a residual space with the vectors whose products with signatures give scores and Gram matrices.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class NullEnsemble:
         return cls(space, space.residual, nothing, null, basis, is_first_pass=True, gram_is_monte_carlo=sampled)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """The ensemble given a model, by its residual (m,) and orthonormal basis (m, e).
+        """Ensemble given a model, with its residual (m,) and orthonormal basis (m, e).
 
         Gram matrices and null statistics are those of the first pass.
         """
@@ -92,7 +92,7 @@ class NullEnsemble:
         return full
 
     def split(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
-        """Products (..., k, v) with all vectors, as those with the residual, trials, basis."""
+        """Products (..., k, v) with all vectors, split into those with residual, trials and basis."""
         edge = 1 + self.trials.shape[1]
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
@@ -117,5 +117,5 @@ def _simulated(space: ResidualSpace, rng: np.random.Generator, count: int) -> Si
 
 
 def square(rows: Any) -> Any:
-    """Products (..., k, k) of rows (..., k, v) with each other."""
+    """Gram matrices (..., k, k) of rows (..., k, v)."""
     return rows @ np.swapaxes(rows, -1, -2)

@@ -1,4 +1,4 @@
-"""Mistakes, which no effect explains and which are in the model of the network before an effect is searched for."""
+"""Blunders, which no effect explains, and their adaptation in the model before the search."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 FAR_OUT = 8.0
-"""Error of an outlier against its prediction, in standard deviations, that noise twice the declared one does not reach.
+"""Error of an outlier relative to its prediction, in standard deviations, that twice the declared
+noise does not reach.
 """
 AGREES = 4.0
-"""Residual over the standard deviation up to which an omitted reading agrees: beyond the noise of any reading used."""
+"""Normalised residual up to which an omitted reading is consistent."""
 GROSS = 30.0
-"""Standard deviations that a gross error exceeds too: noise of long sights is larger than any error of a tracker."""
+"""Smallest normalised residual of a gross error: noise of long ranges exceeds any error of a tracker."""
 PATTERN = 2
-"""Outliers of one observable at one station or target up to which they are single errors."""
+"""Largest number of outliers of one observable at one station or target that count as single errors."""
 
 
 def mistakes_in(selection: Selection) -> list[Hypothesis]:
-    """The hypotheses of a selection with which a network is adjusted before an effect is searched for.
+    """Hypotheses of a selection with which a network is adjusted before the search for effects.
 
-    Rows that were written down wrongly and reference values that contradict the rest, where they are beyond doubt.
-    Shifts only where one is gross, which no effect in first order reaches: then all of them, since each was judged with
-    it.
+    These are wrongly recorded rows and contradicting reference values with sufficient evidence. Shifts are included
+    only if one of them is gross, which no effect in first order explains: then all of them, since each was tested given
+    the others.
     """
     fit, chosen = selection.fit, [c.hypothesis for c in selection.choices if c.gain > BEYOND_DOUBT]
     shifts = [h for h in chosen if isinstance(h.change, Shift)]
@@ -41,7 +42,7 @@ def mistakes_in(selection: Selection) -> list[Hypothesis]:
 
 
 def single_errors(fit: Fit) -> Bools:
-    """Outliers (n, 3) that no effect explains: gross ones, and those far out that are alone at their place.
+    """Flags (n, 3) of the outliers that no effect explains: gross ones, and far ones that are single at their place.
 
     Several readings of an observable that are off at one station or at one target may follow an effect instead.
     """
@@ -54,7 +55,7 @@ def single_errors(fit: Fit) -> Bools:
 
 
 def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
-    """Omitted readings (n, 3) that agree with an adjustment: with the effects of a diagnosis they are no errors."""
+    """Flags (n, 3) of the omitted readings that agree with an adjustment and are no errors with its effects."""
     whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return omitted & (whitened < AGREES)
 
@@ -62,10 +63,10 @@ def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
 def adapted_baseline(
     recording: Recording, construction: Construction, selection: Selection, *, restored: Bools | None = None
 ) -> tuple[Adjustment, Bools, list[Finding]]:
-    """The adjustment with the mistakes of a selection in its model, readings (n, 3) to use, and the findings.
+    """Adjustment with the blunders of a selection in its model, usable readings (n, 3), and findings.
 
-    The recording of the adjustment is corrected by the estimates; what these are uncertain by is estimated in it.
-    Readings that are `restored` (n, 3) are no errors.
+    The recording of the adjustment is corrected by the estimates; their uncertainty is included in the model.
+    `restored` (n, 3) marks readings that are no errors.
     """
     fit, mistakes = selection.fit, mistakes_in(selection)
     errors = single_errors(fit)

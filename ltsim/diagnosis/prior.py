@@ -1,10 +1,9 @@
-"""The prior of a diagnosis: one table of shares, normalised over everything that is looked for.
+"""Prior of a diagnosis: one table of probabilities, normalised over all explanations of a recording.
 
-That something is missing, and that nothing is, start alike. What is missing is shared among kinds of explanations; each
-share evenly among all of its kind that a recording offers: effects of the catalogue, their places and shapes, carriers,
-drivers and places of laws (each operator of a driver costs
-`laws.regressor_library.OPERATOR_ODDS`). `rows` is the table as the theory page
-prints it. The numbers are judgements of how often
+An unmodelled cause and none have equal prior probability. The probability of a cause is divided among kinds of
+explanations, and each part equally among all of its kind that are possible in a recording: effects of the catalogue,
+their places and shapes, responses, regressors and places of laws (each operator of a regressor has the factor
+`laws.regressor_library.OPERATOR_ODDS`). `rows` is the table on the theory page. The numbers are judgements of how often
 a cause occurs in service; several were revised after experiments with known causes. A factor of two in one of them is
 0.7 of log evidence.
 """
@@ -26,11 +25,11 @@ ABOUT = {
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
 }
-"""Kinds of `PRIOR` in words."""
+"""Texts of the kinds in `PRIOR`."""
 P_UNMODELLED = 0.2
-"""Share of causes that are in no list, and look like something that is: one in five."""
+"""Prior probability that a cause is in no list but resembles a listed one."""
 SAME_OBSERVABLE = 0.5
-"""Chance that such a cause acts on the observable of what it looks like."""
+"""Probability that such a cause acts on the observable of the one that it resembles."""
 P_CAP_TESTS = 1.0 - P_UNMODELLED * SAME_OBSERVABLE
 """Upper limit on the probability reported for findings that have no likelihood term for an unmodelled cause."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
@@ -44,18 +43,23 @@ KINDS = {
     "reflector": 0.02,
     "air": 0.04,
 }
-"""Shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all targets seem to
-move alike it is the stands."""
+"""Prior probabilities of the kinds of responses: an unknown error affects mostly a reading alone, and if all targets
+seem to move it is the stands.
+"""
 AT_TARGETS = {"reading": 0.2, "target": 0.8}
-"""Shares for causes that act at some targets only: mostly the target itself, for an instrument does not know it."""
+"""Prior probabilities of the kinds of responses for causes that act at some targets only: mostly the target itself,
+because the instrument does not depend on it.
+"""
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
-"""Weights of what a curve turns out to be, among those that there are: mostly itself, or a short formula."""
+"""Weights of the forms that a curve may have, among the possible ones: mostly the curve itself, or a short formula."""
 P_PIECEWISE, P_SWITCHED, P_PER_SETUP = 0.1, 0.1, 0.1
-"""Shares of curves that are made of a few steps and ramps; of courses in time that are switched on and off; of laws
-that every set-up follows in its own way."""
+"""Prior probabilities of laws with a few steps and ramps, of functions of time that are switched on and off, and of
+laws that differ by set-up.
+"""
 LOG_ODDS_REPEATED = float(np.log(0.03))
-"""Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
-other second effect."""
+"""Log odds of a second effect of a kind that rarely occurs twice (two windows, two unknown laws), relative to any other
+second effect.
+"""
 
 
 def log_share(kind: str, among: int) -> float:
@@ -64,7 +68,7 @@ def log_share(kind: str, among: int) -> float:
 
 
 def rows() -> Iterator[tuple[str, float]]:
-    """Every kind of explanation in words and its share; the shares sum to one."""
+    """Pairs of text and prior probability of every kind of explanation; the probabilities add up to one."""
     for kind, part in PRIOR.items():
         if kind != "law":
             yield ABOUT[kind], part

@@ -36,7 +36,7 @@ class Where(Entry):
     instruments: tuple[str, ...] = ()
     """Names of the instruments."""
     covariates: tuple[str, ...] = ()
-    """Covariates on which it depends: time, angles, or a further column of the recording."""
+    """Covariates on which the effect depends: time, angles, or an additional column of the recording."""
 
 
 class Evidence(Entry):
@@ -45,17 +45,17 @@ class Evidence(Entry):
     chi2_drop: Finite
     """Decrease of chi-square with the finding modelled."""
     parameters: int
-    """Number of parameters that this takes."""
+    """Number of parameters of the finding."""
     p_value: OptionalFloat = None
-    """p-value in the whole search: share of n simulated clean recordings, never below 1 / (n + 1)."""
+    """p-value in the complete search, from n simulated clean recordings, never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this name against all other explanations."""
     p_located: OptionalFloat = None
-    """Probability of an effect on these observables, at this place and with these covariates, whatever its name."""
+    """Probability of any effect on these observables, at this place and with these covariates."""
 
     @property
     def chance(self) -> float:
-        """Probability of its name, or of such a change whatever it is called."""
+        """Probability of the name, or of any such change."""
         return max(self.probability, self.p_located or 0.0)
 
 
@@ -63,13 +63,13 @@ class Equivalent(Entry):
     """Another effect that cannot be excluded."""
 
     effect: str
-    """Id of the catalogue."""
+    """Identifier of the effect in the catalogue."""
     probability: Finite = 0.0
     """Posterior probability of this effect."""
 
 
 class Estimate(Entry):
-    """A parameter of a finding, or a constant of an instrument: a correction, truth minus reading."""
+    """Estimate of a parameter of a finding, or of a constant of an instrument: a correction, truth minus reading."""
 
     name: str
     """Name of the parameter."""
@@ -78,11 +78,11 @@ class Estimate(Entry):
     sigma: Finite = 0.0
     """Standard deviation of the size."""
     unit: str = ""
-    """Display unit of value and standard deviation."""
+    """Unit of display of value and standard deviation."""
 
     @classmethod
     def of(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
-        """The estimate of a parameter from value and deviation [SI]."""
+        """Estimate of a parameter from its value and standard deviation [SI]."""
         factor = FACTOR[parameter.unit]
         return cls(name=parameter.name, value=value / factor, sigma=sigma / factor, unit=parameter.unit)
 
@@ -106,56 +106,57 @@ class Finding(Entry):
     """Finding: an effect that is missing from the model."""
 
     effect: str
-    """Id of the catalogue, or `unknown`."""
+    """Identifier of the effect in the catalogue, or `unknown`."""
     is_catalogued: bool = Field(default=True, alias="known")
     """True for an effect of the catalogue."""
     sentence: str = ""
-    """The same for a person."""
+    """Sentence on the finding."""
     where: Where = Where()
     """Scope of the finding."""
     parameters: tuple[Estimate, ...] = ()
     """Sizes of the effect."""
     target_shift_rms_um: OptionalFloat = None
-    """Displacement of the targets where it is not modelled [um]: rms after the best rigid fit."""
+    """Displacement of the targets if the finding is not modelled [um]: rms after the best rigid fit."""
     evidence: Evidence
     """Strength of the evidence."""
     equivalents: tuple[Equivalent, ...] = ()
     """Other effects that cannot be excluded."""
     separate_by: str = ""
-    """The measurement that would discriminate it from its equivalents."""
+    """Measurement that would discriminate the effect from its equivalents."""
     formula: str = ""
-    """The proposed term of an unknown effect."""
+    """Formula of the proposed term of an unknown effect."""
     carrier: str = ""
-    """Response term on which an effect outside the catalogue acts."""
+    """Response on which an effect outside the catalogue acts."""
     driver: str = ""
     """Regressor: quantity or function on which an effect outside the catalogue depends."""
     curve: Curve | None = None
-    """The same as a curve, where it follows one covariate."""
+    """Curve of the response; null if it does not depend on a single covariate."""
 
 
 class GlobalTest(Entry):
-    """The test of the whole model."""
+    """Global test of the ordinary model."""
 
     statistic: OptionalFloat
-    """Chi-square."""
+    """Chi-square of the ordinary model."""
     dof: int
     """Degrees of freedom."""
     p_value: OptionalFloat
-    """p-value: probability of as large a chi-square or larger; pages print the two-sided one."""
+    """p-value: probability of as large a chi-square or larger; reports display the two-sided one."""
     search_p_value: OptionalFloat = None
-    """p-value of the whole search."""
+    """p-value of the complete search."""
 
 
 class Misfit(Entry):
-    """Chi-square, and the normalised error on observations that the fit did not see."""
+    """Chi-square, and normalised error of held-out observations."""
 
     chi2: Finite
     """Weighted sum of squares."""
     dof: int
     """Degrees of freedom."""
     held_out_rms: OptionalFloat = None
-    """Error on five parts of the pointings, left out in turn and predicted by a fit and search without them, over the
-    the larger of the declared and the estimated noise."""
+    """Error of held-out readings in five folds of the pointings, each predicted by a fit and search without it, divided
+    by the larger of the declared and the estimated noise.
+    """
 
 
 class BeforeAfter(Entry):
@@ -168,25 +169,25 @@ class BeforeAfter(Entry):
 
 
 class Undetectable(Entry):
-    """An effect that leaves no residual."""
+    """Effect that is not detectable in this network."""
 
     effect: str
-    """Id of the catalogue."""
+    """Identifier of the effect in the catalogue."""
     reason: str = ""
     """Reason for which it has no detectable influence on these readings."""
     undetected_target_error_um: OptionalFloat = None
-    """Error of the targets that a bad but plausible size of it hides."""
+    """Error of the targets caused by a large but plausible size of the effect."""
     detectable_at_factor: OptionalFloat = None
-    """Multiple of a bad but plausible size from which it would be detected; null where it is never detectable."""
+    """Multiple of a large but plausible size from which the effect is detectable; null if it never is."""
     cure: str = ""
-    """The measurement that would help."""
+    """Measurement that would make the effect detectable."""
 
 
 class DetectableEntry(Entry):
     """Smallest detectable size of an effect."""
 
     effect: str
-    """Id of the catalogue."""
+    """Identifier of the effect in the catalogue."""
     parameter: str = ""
     """Name of the parameter."""
     size: OptionalFloat
@@ -196,28 +197,28 @@ class DetectableEntry(Entry):
 
     @classmethod
     def of(cls, minimal: MinimalSize) -> Self:
-        """The entry of a size, that at a median place."""
+        """Entry of a minimal detectable size at a median place."""
         size = minimal.typical / FACTOR[minimal.unit]
         return cls(effect=minimal.effect, parameter=minimal.parameter, size=size, unit=minimal.unit)
 
 
 class InstrumentEntry(Entry):
-    """The ordinary calibration of one instrument."""
+    """Ordinary calibration of one instrument."""
 
     name: str
     """Name of the instrument."""
     parameters: tuple[Estimate, ...] = ()
-    """Estimates."""
+    """Estimated constants."""
     determined: tuple[DeterminedEntry, ...] = ()
     """Combinations that the recording determines."""
 
 
 FINDINGS = Table(
     "findings.csv",
-    "findings, a row per parameter",
+    "findings, one row per parameter",
     (
-        *texts(effect="id of the catalogue, or `unknown`", stations="where it acts; empty for all"),
-        *texts(targets="where it acts; empty for all", observables="on which it acts"),
+        *texts(effect="id of the catalogue, or `unknown`", stations="place of the effect; empty for all"),
+        *texts(targets="place of the effect; empty for all", observables="on which it acts"),
         Column("probability", "of this name against all other explanations"),
         *texts(parameter="of the effect"),
         Column("value", "estimated size", sigma="sigma"),
@@ -233,7 +234,7 @@ FIT = Table(
         Column("chi2", "weighted sum of squares"),
         Column("degrees_of_freedom"),
         Column("ratio", "chi-square per degree of freedom", shown=".3f"),
-        Column("held_out_error", "normalised error on observations that the fit did not see", digits=3),
+        Column("held_out_error", "normalised error of held-out observations", digits=3),
     ),
 )
 UNDETECTABLE = Table(

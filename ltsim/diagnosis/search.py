@@ -1,9 +1,9 @@
 """Model selection by forward, backward and exchange steps.
 
 All catalogue effects and laws are screened given the model; the best few are evaluated without approximation, their
-shapes integrated on a grid around the optimum, laws compared with short formulas. The best is added. Then each member
-is tested again given the others, replaced or dropped where the evidence of the model rises, and pairs are exchanged for
-a single member.
+shapes integrated on a grid around the optimum, laws compared with short formulas. The best hypothesis is added. Then
+each member is tested again given the others, and is replaced or removed if the evidence of the model increases; pairs
+are exchanged for a single member.
 """
 
 from __future__ import annotations
@@ -44,17 +44,21 @@ search then starts again without them."""
 REFINED, FEW = 7, 3
 """Number of families, and of laws, evaluated without approximation in a step; in large networks the second (cost)."""
 GRID, FINER, ZOOMS = 11, 9, 2
-"""Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above; points that
-are put around the best one, and how often, for the peak may be much narrower than a step."""
+"""Number of grid points over which a shape is integrated (one coarse step to either side), number of points added
+around the best one, and number of such refinements, since the peak may be much narrower than a step.
+"""
 MOST_OPTIMA, MOST_COMPARED, MOST_BEHIND = 3, 40, 10.0
-"""Local optima of a family that are evaluated, among its best members, within this log evidence of the best."""
+"""Largest number of evaluated local optima of a family, number of its best members among which they are sought, and
+largest deficit of log evidence.
+"""
 MOST_CACHED = 16
 """Number of projected signatures in the cache."""
 MOST_LAWS = 400
 """Number of screened laws that stay in a ranking."""
 WIDER = 1.15
-"""Ratio of sigmas: if marginalising over shape inflates sigma by more, the posterior is reported in place of Laplace's
-approximation."""
+"""Increase of sigma by marginalisation over shape above which the posterior is reported in place of Laplace's
+approximation.
+"""
 
 
 class Screen(NamedTuple):
@@ -85,7 +89,7 @@ class Searcher:
     ) -> None:
         """Search with `trials` simulated recordings; `cards` are the signatures of a search on the same readings.
 
-        Constants of the `ordinary` calibration are hypotheses unless a history takes the place of their prior.
+        Constants of the `ordinary` calibration are hypotheses unless a history replaces their prior.
         """
         self.space = space
         self.probe = NullEnsemble.of(space, seed, trials)
@@ -105,7 +109,7 @@ class Searcher:
         self.first = self._screened(self.empty)
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without the rows (f,), each of which has a separate error; as short as in a large network.
+        """Search without the rows (f,), each of which has a separate error, in the reduced form for large networks.
 
         Screening uses the Gram matrices of the whole network, evaluation those without the rows; neither depends on the
         readings.
@@ -182,7 +186,7 @@ class Searcher:
         return chosen
 
     def _integrated(self, effect: Tunable, base: Model) -> tuple[Tunable, float]:
-        """An effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
+        """Effect with its shape at the optimum, and log evidence averaged over a cell of the coarse grid."""
         effect, value = self.exact.refine_locally([effect], base)[0]
         for shape in type(effect).shape:
             now = getattr(effect, shape.name)
@@ -214,15 +218,20 @@ class Searcher:
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _laws(self, hits: Sequence[ScreenedLaw], base: Model) -> list[Hypothesis]:
-        """Screened laws; the best evaluated without approximation in all functional forms."""
-        entries, evaluated = [], set[tuple[object, ...]]()
+        """Screened laws: the best ones, and the best of each kind evaluated without approximation in all forms.
+
+        Screening is coarser for some kinds than for others: a refined region can have several times the evidence.
+        """
+        entries, evaluated, kinds = [], set[tuple[object, ...]](), set[str]()
         hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
             place, driver = hit.place, hit.driver.centred_on(hit.place.targets)
             law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
             key = (hit.carrier.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
-            if len(evaluated) < self._most and key not in evaluated and hit.value > _promising(hits[0].value):
+            chosen = len(evaluated) < self._most or driver.kind not in kinds
+            if chosen and key not in evaluated and hit.value > _promising(hits[0].value):
                 evaluated.add(key)
+                kinds.add(driver.kind)
                 entries += evaluate_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
                 entries.append(Hypothesis(law, hit.log_prior, hit.value, name_of(law)))
@@ -269,7 +278,7 @@ class Searcher:
         return self._projected[key]
 
     def search(self, threshold: float, *, something: bool) -> Model:
-        """Selected model: each further member must raise its log evidence by `threshold`.
+        """Selected model, in which each additional member increases the log evidence by at least `threshold`.
 
         A curve with many coefficients can imitate several effects: the search starts again with the best hypothesis of
         few coefficients, and the model with the larger evidence is selected.
@@ -340,5 +349,5 @@ def _best(sets: Sequence[Model]) -> Model:
 
 
 def _promising(best: float) -> float:
-    """Screened log evidence from which a law is evaluated in all forms, relative to the best: forms can double it."""
+    """Screened log evidence, relative to the best, from which a law is evaluated in all forms: forms may double it."""
     return 0.5 * best - 5.0

@@ -28,10 +28,10 @@ REWEIGHTINGS = 2
 
 @dataclass
 class SelectionState:
-    """State of the model selection on a recording without mistakes.
+    """State of the model selection on a recording without blunders.
 
-    `baseline` is its ordinary adjustment, where all others begin, `use` (n, 3) the readings that they take, `sigma`
-    (n, 3) their standard deviations, `trials` the simulated recordings by which the search is judged.
+    `baseline` is the ordinary adjustment, the start of all others, `use` (n, 3) flags of the used readings, `sigma` (n,
+    3) their standard deviations, `trials` the number of simulated recordings of the search.
     """
 
     baseline: Adjustment
@@ -39,7 +39,7 @@ class SelectionState:
     seed: int
     trials: int = TRIALS
     ordinary: bool = True
-    """Constants of the ordinary calibration are hypotheses too."""
+    """True if constants of the ordinary calibration are hypotheses too."""
     sigma: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
     space: ResidualSpace = field(init=False)
@@ -53,7 +53,7 @@ class SelectionState:
 
     @property
     def searcher(self) -> Searcher:
-        """The search in the residual space; everything is scored when it is asked for first."""
+        """Search in the residual space; scores are computed on first use."""
         if self._searcher is None:
             before = self._scored
             cards = None if before is None else before.cards.reweighted(before.space, self.space)
@@ -64,16 +64,16 @@ class SelectionState:
 
     @property
     def empty(self) -> Model:
-        """The set of no findings."""
+        """Model without members."""
         return Model((), (), (), self.space.residual)
 
     @property
     def recording(self) -> Recording:
-        """Recording as it was measured, with its mistakes corrected."""
+        """Recording with corrected blunders."""
         return self.baseline.recording
 
     def refit(self, effects: Sequence[Tunable], sigma: Floats) -> Refit:
-        """Nonlinear refit with effects; without any the ordinary adjustment.
+        """Nonlinear refit with effects; without effects the ordinary adjustment.
 
         Parameters have a prior of `WIDE` times their plausible size, since some combinations may leave no residual.
         """
@@ -85,13 +85,13 @@ class SelectionState:
         )
 
         def with_causes(effects: Sequence[Signature] = (), start: State | None = None) -> Adjustment:
-            """The adjustment with effects before the causes of the baseline."""
+            """Adjustment with effects in addition to the causes of the baseline."""
             return adjusted(effects=(*effects, *old.effects), start=start)
 
         return refit(with_causes if old.effects else adjusted, effects, start=old.state)
 
     def release_priors(self, constants: Sequence[Contradiction]) -> None:
-        """Widen the prior of contradicting constants and adjust again."""
+        """Widening of the prior of contradicting constants, with a new adjustment."""
         old = self.baseline
         freed = np.zeros(old.state.instrument.shape, dtype=bool)
         for constant in constants:
@@ -110,19 +110,19 @@ class SelectionState:
         self.set_adjustment(self.refit((), self.sigma).adjustment)
 
     def set_adjustment(self, adjustment: Adjustment) -> None:
-        """Rebuild the residual space from a new adjustment and invalidate cached scores."""
+        """Replacement of the adjustment: the residual space is rebuilt and cached scores are removed."""
         self.space, self._scored, self._searcher = ResidualSpace.of(adjustment), self._searcher or self._scored, None
         quieter = not any(getattr(change.effect, "repeating", "") for change in self.noise)
         tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
         self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
 
     def noises(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Changes of the noise given a model with their evidence, the best of each family, the best family first."""
+        """Changes of the noise given a model with their evidence: the best of each family, the best family first."""
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         return self.bank.ranked(model.residual, redundancy, model.basis)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
-        """Add a change of the noise; one of the same kind at the same place is enlarged."""
+        """Addition of a change of the noise; one of the same kind at the same place is increased."""
         for i, change in enumerate(self.noise):
             if change.effect == further.effect:
                 values = tuple(a + b for a, b in zip(change.values, further.values, strict=True))
@@ -143,7 +143,10 @@ class SelectionState:
         return self.refit((), self.sigma).adjustment
 
     def prune_variance_components(self, effects: Sequence[Tunable]) -> None:
-        """Re-estimate the variance components with effects in the model; drop those whose evidence is not positive."""
+        """Re-estimation of the variance components with effects in the model.
+
+        Those without positive evidence are removed.
+        """
         space = ResidualSpace.of(self.estimate_variance_components(effects)).with_effects(effects)
         estimates = [
             most_likely(space, self._weighted([n for n in self.noise if n is not change]), change)

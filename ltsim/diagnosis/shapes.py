@@ -1,4 +1,4 @@
-"""Posterior of an effect's parameters and shape constants over all its shapes and near places."""
+"""Posterior of an effect's parameters and shape constants over all its shapes and neighbouring places."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
@@ -15,11 +15,11 @@ from ltsim.diagnosis.schema import Estimate
 from ltsim.physics.effects.signature import ShapeParameter, Tunable
 
 STEP, FLAT = 0.05, 20.0
-"""[m] Step of the second differences over a place of the hall, and its multiple that stands for no bound."""
+"""Step [m] of the second differences over a place of the hall, and factor on the step that represents no bound."""
 
 
 def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
-    """Values of a shape constant over its bounds, denser within four `sigma` of the estimate, and widths of cells."""
+    """Values of a shape constant within its bounds, denser within four `sigma` of the estimate; cell widths."""
 
     def even(x: Floats) -> Floats:
         return np.log(x) if shape.logarithmic else (1.0 / x if shape.reciprocal else x)
@@ -35,7 +35,7 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
 
 
 def interpolate(shape: ShapeParameter, low: float, high: float, u: float) -> float:
-    """The shape constant at u, from -1 at `low` to 1 at `high`, evenly in the coordinate of its grid."""
+    """Value of a shape constant at u, from -1 at `low` to 1 at `high`, uniform in the coordinate of its grid."""
     s = 0.5 * (u + 1.0)
     if shape.logarithmic:
         return float(low * (high / low) ** s)
@@ -56,10 +56,9 @@ def are_distinct(effect: Tunable, other: Tunable) -> bool:
 
 
 class ShapeNode(NamedTuple):
-    """Grid node: an effect with one set of its shape constants [SI], its log weight, and its parameters (q,) there.
+    """Grid node: an effect with one set of shape constants [SI], its log weight, and its parameters (q,) there.
 
-    The weight is the evidence times the cell volume; the time of a change is a constant that lies anywhere between two
-    pointings.
+    The weight is the evidence times the cell volume; the time of a change may be anywhere between two pointings.
     """
 
     effect: Tunable
@@ -68,11 +67,11 @@ class ShapeNode(NamedTuple):
     mean: Floats
     variance: Floats
     gap: float
-    """[s] Gap between the pointings before and after a change."""
+    """Time [s] between the pointings before and after a change."""
 
 
 def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:
-    """The gap [s] between pointings in which each time of a change lies, by the middles of its neighbours."""
+    """Width [s] of the cell of each time of a change, from the midpoints to its neighbours."""
     times = np.unique([float(vars(effect).get("time", np.nan)) for effect in effects])
     times = times[np.isfinite(times)]
     return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
@@ -81,7 +80,7 @@ def _cell_widths(effects: Sequence[Tunable]) -> dict[float, float]:
 def all_shapes(
     exact: EvidenceCalculator, effect: Tunable, base: Model, spread: Mapping[str, float], *, plausible: bool = False
 ) -> list[ShapeNode]:
-    """Nodes of an effect over all its shapes and neighbouring places; empty without either.
+    """Grid nodes of an effect over all its shapes and neighbouring places; empty without either.
 
     Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). Weights use a wide prior
     of the size or, if `plausible`, the prior of sizes.
@@ -115,8 +114,8 @@ def all_shapes(
 def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) -> tuple[Estimate, ...]:
     """Centre of a region of the hall with its standard deviations, network frame; empty for effects without one.
 
-    Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; a
-    coordinate that they do not confine has the standard deviation of the step times `FLAT`.
+    Laplace approximation: the inverse of the negative second differences of the log evidence at the centre; an
+    undetermined coordinate has the standard deviation of the step times `FLAT`.
     """
     centre = np.array(effect.source_position)
     if not len(centre):
@@ -144,10 +143,10 @@ def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) ->
 def shape_posterior(
     exact: EvidenceCalculator, effect: Tunable, base: Model, estimates: Sequence[Estimate]
 ) -> dict[str, Estimate]:
-    """Means and standard deviations of parameters and constants over all shapes, the grid finest around `estimates`.
+    """Means and standard deviations of parameters and constants over all shapes, grid finest at `estimates`.
 
-    Unlike the Laplace approximation this holds for flat, skew, bounded and bimodal likelihoods. Empty for effects
-    without shape constants.
+    Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
+    for effects without shape constants.
     """
     shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in estimates})
     if not shapes:

@@ -1,7 +1,8 @@
-"""The space that is searched: carriers x drivers x places, and how the prior is shared among them.
+"""Search space of laws (responses x regressors x places), and the division of the prior among them.
 
-A law has the odds of its place, of the kind of its carrier and of its driver, multiplied; each is shared evenly among
-all of its kind that the recording offers, and the whole is normalised to the prior of laws outside the catalogue.
+The prior odds of a law are the product of those of its place, of the kind of its response and of its regressor; each is
+divided equally among all of its kind in the recording, and the total is normalised to the prior of laws outside the
+catalogue.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,16 +20,16 @@ from ltsim.physics.laws.places import (
     Place,
     clusters,
     connected_groups,
-    each,
     group_places,
+    named_rows,
     neighbour_groups,
     trackers_of,
 )
 from ltsim.physics.laws.regressor_library import (
+    ACCUMULATED_ROTATIONS,
     DEPTHS,
     OPERATOR_ODDS,
-    WORK,
-    group_drivers,
+    group_regressors,
     is_admissible,
     regressors_of,
     waves,
@@ -37,29 +38,35 @@ from ltsim.physics.laws.regressors import CLOCKS, Regressor
 from ltsim.physics.laws.responses import ResponseTerm, response_designs
 
 MOST_PLACES = 400
-"""Each set-up, or target, is a place of its own in networks of at most this many (cost)."""
+"""Largest number of set-ups, or targets, of a network in which each is a separate place (cost)."""
 GROUPED = range(12, 101)
-"""Groups of targets are places in networks with this many targets: fewer hardly form a group, more cost too much."""
+"""Numbers of targets of networks in which groups of targets are places: fewer hardly form a group,
+more cost too much.
+"""
 FINE = 4
-"""A curve is fine if a set-up has more pointings per coefficient than this, else coarse."""
+"""Smallest number of pointings of a set-up per coefficient for a fine curve; otherwise it is coarse."""
 ROOM = 2
-"""A law needs this many pointings per coefficient at its place: the adjustment absorbs about half of them."""
+"""Smallest number of pointings per coefficient at the place of a law: the adjustment absorbs about half of them."""
 AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
-"""Kinds of drivers of one instrument, and of one set-up."""
-ONLY = dict.fromkeys(("product", "passage", "lever", "near"), ("reading",)) | {"room": ("target",)}
-"""Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
-SWINGS = (*CLOCKS, *WORK)
-"""Covariates of waves of other responses than readings."""
+"""Kinds of regressors of one instrument, and of one set-up."""
+IN_THE_HALL = ("passage", "lever", "passage for a time", "lever for a time", "near")
+"""Kinds of regressors of regions of the hall."""
+ONLY = dict.fromkeys(("product", *IN_THE_HALL), ("reading",)) | {"room": ("target",)}
+"""Kinds of responses that such regressors are restricted to: with others the space would be large
+and hardly physical.
+"""
+SWINGS = (*CLOCKS, *ACCUMULATED_ROTATIONS)
+"""Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
-"""Kinds of drivers that several observables follow together: products of curves would have too many coefficients."""
+"""Kinds of regressors for several observables together: products of curves would have too many coefficients."""
 Drivers = Mapping[str, Sequence[Regressor]]
 
 
 def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
-    """All batches of laws of a recording; their priors sum to that of laws outside the catalogue.
+    """Batches of laws of a recording; their priors add up to that of laws outside the catalogue.
 
-    Constants of the instruments are among them as long as they are `ordinary`: a history is compared with by itself. A
-    constant displacement of a target is none: its coordinates are estimated.
+    Constants of the instruments are included if `ordinary`; a history is compared separately. A constant displacement
+    of a target is not included, because its coordinates are estimated.
     """
     made = _Maker(space)
     for place, where, drivers in _places(space):
@@ -69,11 +76,11 @@ def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[LawBatch]:
 
 
 def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]]:
-    """Kinds of places, the places, and the drivers that are tried there."""
+    """Kinds of places, the places, and the regressors that are tried there."""
     s = space.sightings
     everywhere = (Place((), (), np.arange(len(s))),)
-    stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
-    targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
+    stations = tuple(Place((name,), (), rows) for name, rows in named_rows(_few(s.station_names), s.station))
+    targets = tuple(Place((), (name,), rows) for name, rows in named_rows(_few(s.target_names), s.target))
     is_grouped = len(s.target_names) in GROUPED
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
@@ -87,12 +94,12 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
         ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
         ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
         ("target", targets, {"constant": general["constant"], "clock": general["clock"]}),
-        ("group", groups, group_drivers(s) if groups else {}),
+        ("group", groups, group_regressors(s) if groups else {}),
     ]
 
 
 def _few(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of which each is tried on its own: none where there is one, or too many."""
+    """Names that are tried separately; empty for a single one, and for too many."""
     return names if 1 < len(names) <= MOST_PLACES else ()
 
 
@@ -112,7 +119,10 @@ class _Maker:
             self._carriers.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
     def ask(self, place: str, places: tuple[Place, ...], offered: Drivers, held: tuple[str, ...]) -> None:
-        """Ask for panels at some places, of carriers and of the drivers that move them; some kinds are `held`."""
+        """Registration of laws at some places, of responses and of their regressors.
+
+        Some kinds are excluded (`held`).
+        """
         kinds = AT_TARGETS if place in ("target", "group") else KINDS
         for (kind, ways), carriers_of_kind in self._carriers.items():
             together = len(carriers_of_kind[0][0].units)  # observables of a joint response; 0 for all others
@@ -139,7 +149,7 @@ class _Maker:
         weight: float,
         ways: int,
     ) -> None:
-        """Share a weight for each carrier evenly among drivers and the places that have room for them."""
+        """Division of the weight of each response equally among regressors and the places with enough pointings."""
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for driver in drivers if carriers else ():
             by_shape.setdefault((driver.size, len(driver.spreads)), []).append(driver)
@@ -150,7 +160,7 @@ class _Maker:
                 self._asked.setdefault((carriers, tuple(same)), []).append((fit[size], weight / count))
 
     def panels(self) -> list[LawBatch]:
-        """Panels of the requested laws: the same carriers and drivers at all their places in one panel."""
+        """Batches of the registered laws: equal responses and regressors at all their places in one batch."""
         weights = {c: w for carriers_of_kind in self._carriers.values() for c, w in carriers_of_kind}
         whole = sum(
             prior * len(group) * len(carriers) * sum(len(d.spreads) for d in drivers)
@@ -182,7 +192,8 @@ class _Maker:
 
 def _passes(name: str, carrier: ResponseTerm) -> bool:
     """True unless a region changes the response in another way: ranges by the path in it, angles by its lever."""
-    return name not in ("passage", "lever") or ("distance" in carrier.observables) == (name == "passage")
+    way = name.removesuffix(" for a time")
+    return way not in ("passage", "lever") or ("distance" in carrier.observables) == (way == "passage")
 
 
 def _swings(kind: str, wave: Regressor) -> bool:
@@ -191,6 +202,6 @@ def _swings(kind: str, wave: Regressor) -> bool:
 
 
 def scaled_to_noise(carrier: ResponseTerm, weights: Floats) -> ResponseTerm:
-    """The carrier with a plausible size that at least reaches the noise; `weights` (n, 3, c) are of its unit."""
+    """Response with a plausible size that at least reaches the noise; `weights` (n, 3, c) belong to its unit."""
     strength = carrier.size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     return replace(carrier, size=carrier.size * times_to_noise(strength))

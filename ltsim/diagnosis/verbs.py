@@ -1,4 +1,4 @@
-"""Public functions of the diagnosis: what is missing from the model of a recording."""
+"""Public function of the diagnosis: unmodelled causes in a recording."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def diagnose(
     history: Calibration | History | str | Path | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
+    """Diagnosis of a recording: agreement with the model or else place, cause, probability and next measurement.
 
     Parameters
     ----------

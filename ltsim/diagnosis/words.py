@@ -1,4 +1,4 @@
-"""Sentences for people."""
+"""Sentences of a diagnosis for reports and the terminal."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from ltsim.diagnosis.schema import Estimate, Finding, InstrumentEntry, Misfit, W
 from ltsim.physics.effects import card_of, find_effect, title_of
 
 MOST_NAMED = 4
-"""Estimates that a sentence names at most."""
+"""Largest number of estimates in a sentence."""
 LIKELY = 0.5
 """A name, or an effect, is reported as probable from this probability on: the more probable of two."""
 COVARIATES = {
@@ -17,7 +17,7 @@ COVARIATES = {
     "place": "the place in the room",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Covariates whose names need words."""
+"""Texts of covariates in sentences."""
 
 
 def estimates(parameters: Sequence[Estimate]) -> str:
@@ -34,7 +34,7 @@ def effect_words(name: str) -> str:
 
 
 def parameter_words(name: str) -> str:
-    """Name of a parameter in a sentence: its words, with the functions written out."""
+    """Text of a parameter's name in a sentence."""
     words = name.replace("_", " ").replace("-", " ").split()
     return " ".join({"cos": "cosine", "sin": "sine"}.get(word, word) for word in words)
 
@@ -58,7 +58,7 @@ def place(where: Where) -> str:
 
 
 def percent(probability: float) -> str:
-    """A probability for people."""
+    """Text of a probability in percent."""
     return "> 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
@@ -99,7 +99,7 @@ def outside_sentence(where: Where, law: str) -> str:
 
 
 def _at(where: Where) -> str:
-    """The place after a blank; empty for the whole recording."""
+    """Text of the place with a leading blank; empty for the whole recording."""
     confined = where.stations or where.targets or where.observables or where.instruments
     return f" {place(where)}" if confined else ""
 
@@ -109,10 +109,9 @@ CLEAR, MOST_CONSTANTS = 5.0, 5
 
 
 def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
-    """The constants that the readings determine best, in plain names, the clearest first.
+    """Best-determined constants as text, the most significant first.
 
-    A combination goes by the first of its members: the vertical index, for example, as effective over the elevations
-    used.
+    A combination is named by its first member: the vertical index, for example, is effective over the elevations used.
     """
     ranked: list[tuple[float, str]] = []
     for entry in instruments:
@@ -132,11 +131,11 @@ def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
-"""Units of time where a recording has no clock and rows stand for seconds."""
+"""Units that replace those of time if a recording has no clock and rows represent seconds."""
 
 
 def without_clock(parameter: Estimate) -> Estimate:
-    """An estimate of a recording that has no clock, by rows instead of by time."""
+    """Estimate for a recording without clock, in rows in place of time."""
     per, _, rate = parameter.unit.partition("/")
     if rate in WITHOUT_CLOCK:
         factor, unit = 1.0 / WITHOUT_CLOCK[rate][1], f"{per}/row"
@@ -151,12 +150,12 @@ def without_clock(parameter: Estimate) -> Estimate:
 def summarise(
     verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, withheld: int = 0
 ) -> str:
-    """Answer in a few sentences, the first of a report; `withheld` is the number of members that are not reported."""
+    """Summary of a diagnosis in a few sentences; `withheld` is the number of members that are not reported."""
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the declared noise (chi-square {before.chi2:.0f} for "
-            f"{before.dof} degrees of freedom; chance of a search like this finding as much in a clean "
-            f"recording: {100 * p_value:.0f} %)."
+            f"{before.dof} degrees of freedom; probability of such a finding in a recording "
+            f"without errors: {100 * p_value:.0f} %)."
         )
     if not findings:
         return (

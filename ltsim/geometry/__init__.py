@@ -1,1 +1,1 @@
-"""Pure geometry: rotations, polar coordinates, closed-form alignment. Knows nothing of trackers."""
+"""Geometry of points: rotations, polar coordinates, closed-form alignment, kinematic chains."""

@@ -9,24 +9,34 @@ from ltsim.core.arrays import Bools, Floats, median
 from ltsim.core.errors import NetworkError
 
 ROBUST_PASSES = 8
-OUTLYING = 8.0
-"""Misses up to four times the median are noise: reweighting ends."""
-SOUND = 1e-4
-"""[m] Mean miss of a least-squares alignment up to which no point is off by enough to matter for a start."""
-ALL_TRIPLES, MOST_TRIPLES = 6, 30
-"""Number of points up to which every triple is tried; triples of more points: 30 of them contain one without an outlier
-with 98 % where half of the points are outliers, with 99.999 % where a third are."""
+NOISE_RATIO = 8.0
+"""Ratio of the largest to the median distance between aligned points below which reweighting ends: such distances are
+noise.
+"""
+SOUND_FIT_M = 1e-4
+"""Mean distance [m] after a least-squares alignment up to which no point is an outlier that matters
+for start values.
+"""
+MAX_POINTS_FOR_ALL_TRIPLES, MAX_TRIPLES = 6, 30
+"""Number of points up to which every triple is tried, and number of triples for more points. Of 30 triples at least one
+has no outlier with 98 % probability if half of the points are outliers, and with 99.999 % if a third are.
+"""
 
 
 def align(source: Floats, goal: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) with ``goal ~ source @ rotation.T + translation``; see `best_fit`."""
+    """Rotation (3, 3) and translation (3,) of the least-squares alignment ``goal ~ source @ rotation.T + translation``.
+
+    See `best_fit`.
+    """
     return best_fit(source, goal, weights)[:2]
 
 
 def best_fit(
     source: Floats, goal: Floats, weights: Floats | None = None, *, scaled: bool = False
 ) -> tuple[Floats, Floats, Floats]:
-    """Rotation (..., 3, 3), shift (..., 3) and scale (...) with ``goal ~ scale * source @ rotation.T + shift``.
+    """Rotation (..., 3, 3), shift (..., 3) and scale (...) of the least-squares alignment of points.
+
+    The fit is ``goal ~ scale * source @ rotation.T + shift``.
 
     Parameters
     ----------
@@ -61,7 +71,7 @@ def best_fit(
 def _fits(
     source: Floats, goal: Floats, weight: Floats, *, scaled: bool = False
 ) -> tuple[Floats, Floats, Floats, Bools]:
-    """Rotation, shift and scale as of `best_fit`, and False (...) where points on a line leave the rotation open."""
+    """Rotation, shift and scale of `best_fit`, and flags (...) of the fits whose points determine the rotation."""
     weight = weight / weight.sum()
     centre, middle = weight @ source, weight @ goal
     arms = source - centre[..., None, :]
@@ -78,55 +88,65 @@ def _fits(
 
 
 def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
-    """Rigid alignment (3, 3), (3,) by least absolute deviations: a few points that are off by any amount tilt nothing.
+    """Rigid alignment (3, 3), (3,) by least absolute deviations, so that a few outlying points do not affect it.
 
-    The sum of the misses has several minima where one of them is large, and of four points it may be least where none
-    fits: reweighting begins at the least squares or at a fit to three points, where the sum of the logarithms is least.
+    The sum of the distances has several minima where one of them is large, and for four points its least value may
+    belong to an alignment that fits none. Reweighting therefore begins at the least-squares alignment or at the
+    alignment of three points, whichever has the smallest sum of logarithms.
 
-    NetworkError as of `best_fit`.
+    Raises NetworkError under the conditions of `best_fit`.
     """
     best = align(source, goal)
     if len(source) < 4:
         return best
-    miss = _misses(source, goal, best)
-    if miss.mean() > SOUND:
+    miss = _residual_lengths(source, goal, best)
+    if miss.mean() > SOUND_FIT_M:
         triples = _triples(len(source))
         rotation, shift, _, is_held = _fits(source[triples], goal[triples], np.ones(3))
-        sizes = _log_size(_misses(source, goal, (rotation, shift)))
+        sizes = _sum_of_logs(_residual_lengths(source, goal, (rotation, shift)))
         sizes[~is_held] = np.inf
         k = int(np.argmin(sizes))
-        best = (rotation[k], shift[k]) if sizes[k] < _log_size(miss) else best
+        best = (rotation[k], shift[k]) if sizes[k] < _sum_of_logs(miss) else best
     for _ in range(ROBUST_PASSES):
-        miss = _misses(source, goal, best)
+        miss = _residual_lengths(source, goal, best)
         floor = max(1e-5, 0.5 * median(miss))
         best = align(source, goal, 1.0 / np.maximum(miss, floor))
-        if miss.max() < OUTLYING * floor:
+        if miss.max() < NOISE_RATIO * floor:
             break
     return best
 
 
-def largest_miss(source: Floats, goal: Floats) -> float:
-    """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment; errors as of it."""
-    return float(_misses(source, goal, align(source, goal)).max())
+def largest_residual(source: Floats, goal: Floats) -> float:
+    """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment.
+
+    Raises NetworkError as `best_fit`.
+    """
+    return float(_residual_lengths(source, goal, align(source, goal)).max())
 
 
-def _misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (..., n) [m] of points from their goals after motions (..., 3, 3), (..., 3)."""
+def _residual_lengths(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
+    """Distances (..., n) [m] of moved points from their goals.
+
+    The motions are rotations (..., 3, 3) and shifts (..., 3).
+    """
     rotation, shift = motion
     moved = source @ np.swapaxes(rotation, -1, -2) + shift[..., None, :]
     return np.asarray(np.linalg.norm(moved - goal, axis=-1))
 
 
-def _log_size(miss: Floats) -> Floats:
-    """Sum (...) of the logarithms of misses (..., n) [m], each at least `SOUND`: a few large ones before many small."""
-    return np.asarray(np.log(np.maximum(miss, SOUND)).sum(axis=-1))
+def _sum_of_logs(miss: Floats) -> Floats:
+    """Sum (...) of the logarithms of distances (..., n) [m], each at least `SOUND_FIT_M`.
+
+    It prefers a few large distances to many small ones.
+    """
+    return np.asarray(np.log(np.maximum(miss, SOUND_FIT_M)).sum(axis=-1))
 
 
 @lru_cache(maxsize=256)
 def _triples(count: int) -> list[list[int]]:
-    """Triples of points: every one of a few points, a spread of them (the same each time) of many."""
-    every = list(combinations(range(count), 3)) if count <= ALL_TRIPLES else []
+    """Triples of point numbers: all of them for a few points, a fixed selection for many."""
+    every = list(combinations(range(count), 3)) if count <= MAX_POINTS_FOR_ALL_TRIPLES else []
     if every:
         return [list(triple) for triple in every]
     draw = np.random.default_rng(count)
-    return [draw.choice(count, 3, replace=False).tolist() for _ in range(MOST_TRIPLES)]
+    return [draw.choice(count, 3, replace=False).tolist() for _ in range(MAX_TRIPLES)]

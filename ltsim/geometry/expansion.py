@@ -1,7 +1,8 @@
-"""Growth of a body with its temperature: L(T) = L_0 (1 + a (T - T_0)), and what is not known of it.
+"""Thermal expansion of a body, L(T) = L_0 (1 + a (T - T_0)), and its uncertainty.
 
 a is the mean coefficient of linear expansion between T_0 and T, both temperatures those of the body and not of the air.
-To first order the factor errs by (T - T_0) da + a dT. Bodies of one material share da, those at one thermometer dT.
+To first order the error of the factor is (T - T_0) da + a dT. Bodies of one material share da, those at one thermometer
+dT.
 
 References
 ----------
@@ -18,10 +19,10 @@ class Expansion:
     """Thermal expansion of a body relative to its length at the reference temperature."""
 
     factor: float = 1.0
-    """1 + a (T - T_0)."""
+    """Length at the temperature of the body divided by the length at the reference temperature, 1 + a (T - T_0)."""
     by_coefficient: float = 0.0
     by_temperature: float = 0.0
-    """Change of the factor when the coefficient, or the temperature, is one standard deviation larger."""
+    """Change of the factor for one standard deviation of the coefficient or of the temperature."""
 
     @classmethod
     def of(
@@ -31,5 +32,8 @@ class Expansion:
         sigma_coefficient: float | None = None,
         sigma_kelvin: float | None = None,
     ) -> Expansion:
-        """Expansion of a body `kelvin` above its reference temperature, with `coefficient` [1/K]; no sigma: exact."""
+        """Expansion of a body that is `kelvin` [K] warmer than its reference temperature, with `coefficient` [1/K].
+
+        Without a sigma it is exact.
+        """
         return cls(1.0 + coefficient * kelvin, kelvin * (sigma_coefficient or 0.0), coefficient * (sigma_kelvin or 0.0))

@@ -1,4 +1,4 @@
-"""Range, azimuth and elevation of points, on either face, and their derivatives.
+"""Range, azimuth and elevation of points on either face, and their derivatives.
 
 Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values: azimuth + 180 deg and
 180 deg - elevation.
@@ -22,7 +22,10 @@ def to_polar(points: Floats) -> Floats:
 
 
 def from_polar(readings: Floats) -> Floats:
-    """Points (n, 3) [m] of range, azimuth, elevation (n, 3); raw face-2 values give the same point."""
+    """Points (n, 3) [m] of range, azimuth and elevation (n, 3).
+
+    Raw face-2 values give the same point as face-1 values.
+    """
     range_, azimuth, elevation = readings.T
     horizontal = range_ * np.cos(elevation)
     return side_by_side(horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation))
@@ -38,7 +41,7 @@ def to_face(polar: Floats, face: Ints) -> Floats:
 
 
 def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Floats]:
-    """Beam u (outwards), left e_th and up e_ph, each (n, 3), for front-face angles [rad]."""
+    """Unit vectors of the beam (outwards), to its left and upwards, each (n, 3), for front-face angles [rad]."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     zero = np.zeros_like(ca)
     beam = side_by_side(ce * ca, ce * sa, se)
@@ -55,7 +58,7 @@ def across_beam(vectors: Floats, points: Floats) -> Floats:
 
 
 def polar_jacobian(polar: Floats, face: Ints) -> Floats:
-    """Derivative (n, 3, 3) of the raw readings on `face` by the point's coordinates, at front-face `polar`.
+    """Derivative (n, 3, 3) of the raw readings on `face` with respect to the point, at front-face values `polar`.
 
     On face 2 the raw elevation runs backwards (180 deg minus), hence the sign of its row.
     """

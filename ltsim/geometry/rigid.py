@@ -1,24 +1,27 @@
-"""Rigid motions of points, and which points hold them."""
+"""Rigid motions of point sets, and the number of points that determine them."""
 
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rotations import cross_matrix
 
-ON_A_LINE = 1e-6
-"""Points that leave a line by less than this share of their extent lie on it."""
+COLLINEAR_RATIO = 1e-6
+"""Largest distance of points from a line, as a fraction of their extent, up to which they count as collinear."""
 
 
 def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
-    """Displacement (3 k, 6) of points (k, 3) by unit translations and unit rotations about `centre`, or the origin."""
+    """Displacement (3 k, 6) of points (k, 3) by unit translations and unit rotations about `centre`.
+
+    Without it about the origin.
+    """
     turn = -cross_matrix(points if centre is None else points - centre)
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def less_rigid(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
-    """Displacements (3 k, c) of points (k, 3) less what a shift and a turn of all of them makes of each column.
+def without_rigid_motion(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
+    """Displacements (3 k, c) of points (k, 3) with the best-fitting rigid motion of each column removed.
 
-    Of the six motions only those along the columns of `free` (6, f) are taken out, where these are given.
+    If `free` (6, f) is given, only motions in the span of its columns are removed.
     """
     motion = rigid_motion(points)
     basis = np.linalg.qr(motion if free is None else motion @ free)[0]
@@ -26,22 +29,24 @@ def less_rigid(displacement: Floats, points: Floats, free: Floats | None = None)
 
 
 def pose_design(by_target: Floats, arm: Floats) -> Floats:
-    """Derivative (n, 3, 6) of readings by translation and rotation of their station, network frame.
+    """Derivative (n, 3, 6) of readings with respect to translation and rotation of their station, network frame.
 
     Parameters
     ----------
     by_target : (n, 3, 3) float
-        Derivative by the target.
+        Derivative of the readings with respect to the target's coordinates.
     arm : (n, 3) float, [m]
         From the station to the target.
     """
     return np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
 
 
-def holds_pose(points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = ON_A_LINE) -> Bools:
-    """Flags (...): the targets that each station sees hold its six motions, as geometry alone decides.
+def determines_pose(
+    points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = COLLINEAR_RATIO
+) -> Bools:
+    """Flags (...): the targets that a station sees determine its pose (six parameters), by their geometry alone.
 
-    Three targets off one line do; a levelled station needs two that are not above one another.
+    Three targets that are not collinear are sufficient; a levelled station needs two that are not on one vertical.
 
     Parameters
     ----------

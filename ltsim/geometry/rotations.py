@@ -1,4 +1,4 @@
-"""Rotations as 3 x 3 matrices in batches; rotation vectors for small increments."""
+"""Rotation matrices (3 x 3) in batches; small rotations as rotation vectors."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def cross_matrix(vectors: Floats) -> Floats:
 
 
 def perpendicular(vectors: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (n, 3) at right angles to each of the unit vectors (n, 3) and to each other."""
+    """Two unit vectors (n, 3) that are perpendicular to each of the given unit vectors (n, 3) and to each other."""
     helper = np.where(np.abs(vectors[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(vectors, helper)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -23,7 +23,7 @@ def perpendicular(vectors: Floats) -> tuple[Floats, Floats]:
 
 
 def from_rotation_vector(vectors: Floats) -> Floats:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    """Rotation matrices (..., 3, 3) from rotation vectors (..., 3) [rad]."""
     from scipy.spatial.transform import Rotation  # slow to load
 
     return Rotation.from_rotvec(vectors).as_matrix()
@@ -43,7 +43,7 @@ def quaternion(matrix: Floats) -> Floats:
 
 
 def smallest_turn(axis: Floats, goal: Floats) -> Floats:
-    """The smallest rotation (3, 3) that turns a unit vector into another."""
+    """Smallest rotation (3, 3) that turns one unit vector into another."""
     across, cosine = np.cross(axis, goal), float(axis @ goal)
     sine = float(np.linalg.norm(across))
     if sine < 1e-12 and cosine > 0:

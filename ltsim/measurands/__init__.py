@@ -1,1 +1,1 @@
-"""Measurands: tasks on adjusted points, their uncertainty by the GUM and by Monte Carlo, and conformity decisions."""
+"""Measurands: results computed from adjusted points, their uncertainty (GUM and Monte Carlo), conformity decisions."""

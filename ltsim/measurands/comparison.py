@@ -1,9 +1,7 @@
-"""Two epochs compared: the congruence test, which points moved, and comparison.json with displacements.csv.
+"""Comparison of two epochs: congruence test, displaced points, comparison.json and displacements.csv.
 
-References
-----------
-Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence test.
-Baarda, A testing procedure for use in geodetic networks (1968): the single hypotheses and their smallest visible size.
+References ---------- Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence test. Baarda, A
+testing procedure for use in geodetic networks (1968): tests of single points and their minimal detectable displacement.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,19 +24,19 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFil
 
 DISPLACEMENTS = Table(
     "displacements.csv",
-    "what every common point did from the first epoch to the second",
+    "displacement of each common point from the first epoch to the second",
     (
         Column("target", "name", "text"),
-        Column("moved", "True where it moved", "flag"),
+        Column("moved", "True if the point moved", "flag"),
         *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
         *(Column(f"d{a}_um", "displacement, second less first epoch", sigma=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
-        *numbers("", ".1f", a_um="semi-axes of its 95 % ellipsoid", b_um="as a_um", c_um="as a_um"),
-        Column("p_value", "that it did not move, paid for all points tested", "chance"),
-        Column("visible_um", "smallest motion that is found in 4 of 5 cases, whatever its direction", shown=".0f"),
+        *numbers("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
+        Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
+        *numbers("", ".0f", visible_um="smallest motion that is detected with a probability of 80 % in any direction"),
     ),
 )
-MOST_NAMED = 6
+MAX_NAMED = 6
 COVERAGE = 0.95
 """Coverage probability of the error ellipsoids."""
 
@@ -49,7 +47,7 @@ class Displacement(Entry):
     target: str
     """Name of the target."""
     moved: bool
-    """True where the test finds a displacement."""
+    """True if the test finds a displacement."""
     place_mm: Vector
     """Position in the first epoch [mm]."""
     shift_um: Vector
@@ -61,31 +59,33 @@ class Displacement(Entry):
     semi_axes_um: Vector
     """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
-    """p-value of no displacement, with the other displaced points modelled, corrected for all points tested."""
+    """p-value of zero displacement, with the other displaced points modelled, corrected for the number of tested
+    points.
+    """
     visible_um: tuple[Finite, Finite]
-    """Smallest displacement that is detected with a probability of 80 % [um]: in the best and the worst direction."""
+    """Smallest displacement that is detected with a probability of 80 % [um], in the best and the worst direction."""
     point_chi2: OptionalFloat = None
-    """Chi-square of the point's separate difference between epochs in one frame, whatever the other points did."""
+    """Chi-square of the point's separate difference between epochs in one frame, independent of the other points."""
 
     @property
     def row(self) -> list[Any]:
-        """Row of `DISPLACEMENTS`."""
+        """Row of the table `DISPLACEMENTS`."""
         sizes = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
         return [self.target, self.moved, *sizes, self.p_value, self.visible_um[1]]
 
 
 class Comparison(ResultFile):
-    """`comparison.json`: from `compare`; `recording` is the first epoch."""
+    """`comparison.json`: the result of `compare`; `recording` is the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
     """Format and version of this file."""
     second: SourceEntry | None
-    """The second epoch."""
+    """Source of the second epoch."""
     sentence: str
-    """The answer for a person."""
+    """Sentence with the result."""
     level: Finite
-    """Significance level: probability that any point is reported as moved when none did."""
+    """Significance level: probability that any point is reported as moved although none did."""
     statistic: Finite
     """Chi-square of the global test that no point moved."""
     dof: int
@@ -93,11 +93,11 @@ class Comparison(ResultFile):
     p_value: Finite
     """p-value of the global test."""
     p_value_after: Finite
-    """p-value of the same test without the points that moved."""
+    """p-value of the global test without the points that moved."""
     scale_ppm: OptionalFloat = None
-    """Scale of the second epoch [ppm]; null where it was not estimated."""
+    """Scale of the second epoch [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
-    """Assumptions about the epochs: motions that they leave undetermined, names that are exchanged."""
+    """Notes on the epochs: undetermined motions, exchanged names."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacements, one per common point, in the order of the first recording."""
 
@@ -105,7 +105,8 @@ class Comparison(ResultFile):
         return [
             self.sentence,
             *self.notes,
-            f"no motion at all: {format_p(self.p_value)}; without what moved: {format_p(self.p_value_after)}",
+            f"p-value of no motion: {format_p(self.p_value)} for all points, "
+            f"{format_p(self.p_value_after)} for the points that did not move",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
@@ -118,15 +119,16 @@ class Comparison(ResultFile):
 
 
 def rows_of(points: Sequence[int] | Ints, axes: int) -> Ints:
-    """Rows (a k,) of some points (k,) among coordinates along a axes, point by point."""
+    """Rows (a k,) of the points (k,) among coordinates along a axes, ordered point by point."""
     return (axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(axes)).ravel()
 
 
 @dataclass(frozen=True)
-class Gap:
+class EpochDifference:
     """Differences d (T a,) of common points after alignment along `axes` (a,), their covariance, free motions (T a, f).
 
-    What is added to the covariance along the free motions changes nothing, and makes that of a datum of its own whole.
+    A term added to the covariance along the free motions does not change results, and makes the covariance of a free
+    datum regular.
     """
 
     names: Sequence[str]
@@ -135,9 +137,9 @@ class Gap:
     free: Floats
     axes: Ints
     places: Floats
-    """(T, 3) [m]: in the first epoch."""
+    """Coordinates in the first epoch, (T, 3) [m]."""
     scaled: bool = False
-    """The last of the free motions is the scale of the second epoch."""
+    """True if the last free motion is the scale of the second epoch."""
 
     @property
     def count(self) -> int:
@@ -150,7 +152,7 @@ class Gap:
         return len(self._root) - self.free.shape[1]
 
     def chi2_of(self, point: int) -> float | None:
-        """Chi-square of one point's difference by itself; None where the frame is free."""
+        """Chi-square of one point's separate difference; None in a free frame."""
         if self.free.shape[1]:
             return None
         at = rows_of([point], len(self.axes))
@@ -165,26 +167,28 @@ class Gap:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def _design(self, moved: Sequence[int]) -> Floats:
-        """Whitened free motions and unit displacements of the points that moved."""
+        """Whitened design of the free motions and of unit displacements of the `moved` points."""
         columns = np.eye(len(self.gap))[:, rows_of(moved, len(self.axes))]
         return self._root @ np.hstack([self.free, columns])
 
     def cost(self, moved: Sequence[int] = ()) -> float:
-        """Weighted sum of squares of what free motions and displacements of `moved` points do not explain."""
+        """Weighted sum of squared differences that free motions and displacements of `moved` points do not explain."""
         remaining, design = self._root @ self.gap, self._design(moved)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate(self, moved: Sequence[int]) -> tuple[Floats, Floats]:
-        """Values of free motions and of the displacements of `moved` points, and their covariance."""
+        """Estimates of free motions and displacements of `moved` points, and their covariance."""
         design = self._design(moved)
         size = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / size) / size[:, None]
         return inverse @ (self._root @ self.gap), inverse @ inverse.T
 
 
-def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
-    """Congruence test of the common points that are not `fixed` as stable, and its report on all of them."""
+def congruence_test(
+    gap: EpochDifference, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
+) -> Comparison:
+    """Result of the congruence test, in which the points that are not `fixed` as stable are tested."""
     tested = np.flatnonzero(~fixed)
     moved = _search(gap, tested, level)
     displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
@@ -204,8 +208,8 @@ def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, Sou
     )
 
 
-def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
-    """Points that moved: added while one is significant, then each tested again together with the others."""
+def _search(gap: EpochDifference, tested: Ints, level: float) -> list[int]:
+    """Indices of points that moved: significant ones are added, then each is tested again with the others."""
     moved: list[int] = []
     limit = special.chdtri(len(gap.axes), level / max(len(tested), 1))
     most = max(0, gap.count - (len(gap.axes) if gap.free.shape[1] else 0))
@@ -224,8 +228,8 @@ def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
     return moved
 
 
-def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float) -> Displacement:
-    """Displacement of one point in the frame that the stable points define, and its test with the other moved ones."""
+def _displacement(gap: EpochDifference, i: int, moved: list[int], tested: int, level: float) -> Displacement:
+    """Displacement of one point in the frame of the stable points, and its test with the others in the model."""
     count, a = max(tested, 1), len(gap.axes)
     others = [p for p in moved if p != i]
     values, joint = gap.estimate([*others, i])
@@ -256,5 +260,5 @@ def _sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MOST_NAMED)
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MAX_NAMED)
     return f"{len(worst)} of {len(displacements)} points moved: {names}"

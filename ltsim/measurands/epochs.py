@@ -1,8 +1,9 @@
-"""Did points move between two recordings? The congruence test, and which points moved.
+"""Displacements between two epochs: adjustment of each, alignment, congruence test.
 
-Each epoch is adjusted by itself; the second is brought onto the first by the rigid motions that one of them leaves open
-(and a scale, if asked for). What remains is compared with the full covariance of both. Points that moved are found one
-by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
+Each epoch is adjusted by itself; the second is aligned to the first by the rigid motions that are free in one of them
+(and by a scale if requested). The remaining differences are compared with the full covariance of both. Displaced points
+are added one by one, each time the one that explains most of the remaining differences, until the others are congruent;
+each is then tested with the others in the model.
 """
 
 from __future__ import annotations
@@ -21,18 +22,20 @@ from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.notation import listing
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.measurands.comparison import Comparison, Gap, judged, rows_of
+from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test, rows_of
 from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources
 from ltsim.recordings.coordinates import Coordinates
-from ltsim.recordings.references import COEFFICIENT
+from ltsim.recordings.references import EXPANSION_ERROR
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.setup import Gauge
 
 SPACE = np.arange(3)
-ALIGNING = 30
-"""Rounds of the alignment by distances, which a third of the points may leave far."""
-STILL = 1e-9
-"""Share of the extent by which a unit motion has to move points along the axes that are known."""
+ALIGNMENT_ROUNDS = 30
+"""Number of iterations of the alignment by distances, in which up to a third of the points may be displaced far."""
+MIN_UNIT_MOTION = 1e-9
+"""Smallest displacement of points by a unit motion, relative to their extent, at which measured axes determine the
+motion.
+"""
 
 
 def compare(
@@ -44,7 +47,10 @@ def compare(
     same_instrument: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
+    """Comparison of two converged adjustments by their common points, each in its own frame.
+
+    Options and errors as `lt.compare`.
+    """
     lost = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
     stable_points = _frame("recordings", common, stable, held=3)
@@ -64,10 +70,10 @@ def compare_coordinates(
     scaled: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """Two lists of coordinates in one frame, or in `free` ones; options and errors as of `lt.compare`."""
+    """Comparison of two lists of coordinates in one frame, or in `free` ones; options and errors as `lt.compare`."""
     if first.axes != second.axes:
         raise ModelError(
-            f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
+            f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
     common = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if free else open_motions(epoch) for epoch in (first, second)]
@@ -94,18 +100,20 @@ def _compared(
     axes: Ints = SPACE,
     notes: Sequence[str] = (),
 ) -> Comparison:
-    """The comparison of epochs of the same names; points whose names are exchanged are compared by place."""
+    """Comparison of epochs with equal names; points whose names are exchanged are compared by position."""
     gap = _aligned(first, second, scaled, stable, axes)
-    result = judged(gap, held, level, sources)
+    result = congruence_test(gap, held, level, sources)
     order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
-        result = judged(_aligned(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources)
+        result = congruence_test(
+            _aligned(first, second.reordered(order, len(axes)), scaled, stable, axes), held, level, sources
+        )
         notes = [*notes, exchange_note(first.names, order)]
     return result.model_copy(update={"notes": tuple(notes)})
 
 
 def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
-    """(T,): which common points may hold the frame, `held` of them at least: all, or those said to be stable."""
+    """Flags (T,) of the common points that may define the frame (at least `held`): all, or the declared stable ones."""
     for name in stable or ():
         if name not in common:
             raise unknown_name("common point", name, common)
@@ -113,15 +121,16 @@ def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, he
         needed = f"at least {held + 1} are needed to see one of them move"
         raise NetworkError(f"the {kind} share {len(common)} points; {needed}")
     if stable is not None and len(stable) < held:
-        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+        raise ModelError(f"{len(stable)} stable points do not define a frame; name at least {held}")
     return np.array([stable is None or name in stable for name in common])
 
 
 @dataclass(frozen=True)
 class _Epoch:
-    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and the rigid motions (6, f) that are open.
+    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and free rigid motions (6, f).
 
-    `by_given` (T a, g) is how the points follow what the epochs may have in common, in standard deviations.
+    `by_given` (T a, g) is the derivative of the points with respect to errors that the epochs may have in common, in
+    standard deviations.
     """
 
     names: Sequence[str]
@@ -142,7 +151,7 @@ class _Epoch:
 
     @classmethod
     def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:
-        """Points of a list that leaves motions `free` (6, f)."""
+        """Epoch of a list of coordinates with free motions `free` (6, f)."""
         at = np.array([coordinates.names.index(name) for name in common])
         rows = rows_of(at, len(coordinates.axes))
         return cls(
@@ -150,19 +159,22 @@ class _Epoch:
         )
 
     def reordered(self, order: Ints, axes: int) -> Self:
-        """The epoch with the place of point `order[i]` at point i."""
+        """Epoch in which point i has the position of point `order[i]`."""
         rows = rows_of(order, axes)
         covariance = self.covariance[np.ix_(rows, rows)]
         return replace(self, points=self.points[order], covariance=covariance, by_given=self.by_given[rows])
 
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
-    """Groups of observations that are the same ones in both epochs, errors included: equal statements."""
+    """Groups of observations that are common to both epochs including their errors.
+
+    Their declarations are equal in both epochs.
+    """
     earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
-            raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
+            raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
         common.append(PRIORS)
     if (
         earlier.gauge is not None
@@ -170,7 +182,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
         and _certificate(earlier.gauge) == _certificate(later.gauge)
     ):
         shared = [a.problem.gauge.shared for a in (first, second)]
-        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(COEFFICIENT))]
+        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR))]
     control = [{n: t.known_mm for n, t in s.targets.items() if t.known_mm is not None} for s in (earlier, later)]
     if control[0] and control[0] == control[1]:
         common.append(CONTROL)
@@ -178,21 +190,21 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
 
 
 def _certificate(gauge: Gauge) -> Gauge:
-    """Reference lengths as certified, without their temperatures during the measurement."""
+    """Reference lengths of a certificate, without their temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> Gap:
-    """The second epoch moved onto the first; where both frames are held, as they are; along `axes` (a,)."""
+def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: Ints = SPACE) -> EpochDifference:
+    """Differences of the second epoch, aligned to the first unless both frames are fixed, along `axes` (a,)."""
     before, after, turn = first.points, second.points, np.eye(3)
     middle = before[stable].mean(axis=0)
     both = np.hstack([first.free, second.free])
     free = scipy.linalg.orth(both) if both.shape[1] else both
     if free.shape[1] and len(axes) > 1:
         weights = stable.astype(np.float64)
-        for _ in range(ALIGNING):
+        for _ in range(ALIGNMENT_ROUNDS):
             turn, shift = align(second.points, before, weights)
             after = second.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
@@ -203,39 +215,43 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, stable: Bools, axes: I
     motions = rigid_motion(before, middle)
     motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
-    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(before - middle).max()]
+    motions = motions[:, np.linalg.norm(motions, axis=0) > MIN_UNIT_MOTION * np.abs(before - middle).max()]
     if motions.shape[1]:
         basis = scipy.linalg.orth(motions)
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
         motions = np.hstack([motions, (before - middle)[:, axes].reshape(-1, 1)])
-    return Gap(first.names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled)
+    return EpochDifference(first.names, (after - before)[:, axes].ravel(), covariance, motions, axes, before, scaled)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:
-    """Motions (6, f) with their turns about a centre instead of the origin."""
+    """Motions (6, f) with rotations about a centre in place of the origin."""
     about = free.copy()
     about[:3] += np.cross(free[3:].T, centre).T
     return about
 
 
-SINGULAR = 1e-7
-"""Eigenvalue of correlations over the largest below which a covariance has a rank defect; files round to 1e-9."""
+RANK_DEFECT = 1e-7
+"""Ratio of an eigenvalue of the correlation matrix to the largest below which the covariance has a rank defect; files
+round to 1e-9.
+"""
 PLACE_TAKEN = 0.1
-"""Share of the distance between two points within which each lies at the place of the other if names are exchanged."""
+"""Largest distance, relative to the distance of two points, from each other's position at which their names count as
+exchanged.
+"""
 OPEN_MOTIONS = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
-"""Rigid motions (shifts along x, y, z, turns about them) that a datum in space holds, by the rank defect."""
+"""Rigid motions (shifts along x, y, z, rotations about them) that a datum fixes, by the rank defect."""
 
 
 def open_motions(epoch: Coordinates) -> Floats:
-    """Rigid motions (6, f) that the covariance of an epoch leaves open, by its rank defect.
+    """Rigid motions (6, f) that are free in an epoch, by the rank defect of its covariance.
 
-    Inner constraints over all points make a covariance without variance along the motions themselves; a datum of some
-    of them has the same defect in other directions, and the usual motions are taken.
+    With inner constraints over all points the covariance has no variance along the motions. A datum of some points has
+    the same defect in other directions; the usual motions are then used.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     values = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
-    defect = int((values < SINGULAR * values[-1]).sum())
+    defect = int((values < RANK_DEFECT * values[-1]).sum())
     if not defect:
         return np.zeros((6, 0))
     middle = epoch.points.mean(axis=0)
@@ -243,7 +259,7 @@ def open_motions(epoch: Coordinates) -> Floats:
     moving = np.flatnonzero(np.linalg.norm(motions, axis=0) > 0)
     basis, triangle = np.linalg.qr(motions[:, moving])
     variance, directions = np.linalg.eigh(basis.T @ epoch.covariance @ basis)
-    still = directions[:, variance < SINGULAR * scale.max() ** 2]
+    still = directions[:, variance < RANK_DEFECT * scale.max() ** 2]
     free_motions = np.zeros((6, still.shape[1]))
     free_motions[moving] = scipy.linalg.solve_triangular(triangle, still)
     if still.shape[1] != defect:
@@ -253,10 +269,10 @@ def open_motions(epoch: Coordinates) -> Floats:
     return free_motions
 
 
-def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
-    """Number of the point whose name each common point has in the second epoch; None if no names are exchanged.
+def exchanged(gap: EpochDifference, moved: Sequence[int]) -> Ints | None:
+    """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
 
-    Each of the `moved` points stands where another of them stood in the first epoch, far from its own place.
+    Each of the `moved` points is at the first-epoch position of another one, far from its own.
     """
     if len(moved) < 2:
         return None
@@ -274,14 +290,14 @@ def exchanged(gap: Gap, moved: Sequence[int]) -> Ints | None:
 
 
 def exchange_note(names: Sequence[str], order: Ints) -> str:
-    """The sentence on names that are exchanged in the second epoch."""
+    """Sentence on names that are exchanged in the second epoch."""
     changed = np.flatnonzero(order != np.arange(len(order)))
     names_changed = listing([names[i] for i in changed.tolist()], len(changed))
-    return f"the names {names_changed} are exchanged in the second epoch: these points are compared by their places"
+    return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
 def datum_note(count: int) -> str:
-    """The sentence on covariances that leave motions open."""
+    """Sentence on covariances with free motions."""
     return (
         f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "
         "with the first along them"

@@ -1,4 +1,4 @@
-"""The whole evaluation: readings to results, uncertainty twice, budget, verdicts."""
+"""Complete evaluation: results from readings, their uncertainty by two methods, budget and decisions."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,15 @@ from ltsim.calibration.result import frame_of
 from ltsim.core.arrays import Bools, Floats
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, Output
-from ltsim.measurands.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
+from ltsim.measurands.propagation import (
+    MAX_CURVATURE,
+    LinearUncertainty,
+    MonteCarloUncertainty,
+    curvature,
+    draw,
+    expansion_of,
+    propagate,
+)
 from ltsim.measurands.spec import Task, Tasks
 from ltsim.measurands.uncertainty import BudgetPart, Distribution, HiddenPart, TaskResult, Uncertainty, conformity
 from ltsim.recordings.coordinates import Coordinates
@@ -17,25 +25,30 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MATTERS = 0.2
-"""An error that no reading shows is reported from this share of the standard uncertainty on: it would add 2 % to it."""
+MIN_HIDDEN_SHARE = 0.2
+"""Smallest share of the standard uncertainty from which an error without effect on the readings is reported: it would
+add 2 % to the uncertainty.
+"""
 
 
 @dataclass(frozen=True, repr=False)
 class Evaluation:
-    """Propagation and Monte Carlo of tasks on a recording, as arrays; `result` is what `uncertainty` returns."""
+    """Results of propagation and Monte Carlo for the tasks on a recording, as arrays.
+
+    `result` is what `uncertainty` returns.
+    """
 
     tasks: Tasks
     inputs: Inputs
     measurands: tuple[Measurand, ...]
-    linear: Propagated
+    linear: LinearUncertainty
     """Uncertainty by the law of propagation (GUM)."""
-    drawn: Drawn
+    drawn: MonteCarloUncertainty
     """Uncertainty by Monte Carlo (JCGM 101)."""
     agrees: Bools
-    """(k,): whether the linear interval is that of the distribution (JCGM 101, clause 8)."""
+    """Flags (k,) that the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
     curved: Floats
-    """Gap between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
+    """Difference between the exact adjustment and its linear form, in standard uncertainties, (k,)."""
 
     @property
     def outputs(self) -> list[tuple[Task, Output]]:
@@ -44,16 +57,14 @@ class Evaluation:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings on figures that are less reliable than they seem, one sentence each."""
+        """Warnings on results that are less reliable than they appear, one sentence each."""
         air = self.inputs.air
-        warnings = [f"every budget holds the {air}; change it as [air] of the task file or the set-up"] if air else []
+        warnings = [f"all budgets include the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
-            if self.curved[i] > CURVED:
-                gap = f"off by {self.curved[i]:.2g} of it"
-                warnings.append(
-                    f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak"
-                )
+            if self.curved[i] > MAX_CURVATURE:
+                gap = f"deviation {self.curved[i]:.2g} of the uncertainty"
+                warnings.append(f"{what}: the result is not linear within its uncertainty ({gap}); improve the network")
             elif not self.agrees[i] and self.drawn.stable[i]:
                 warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
         if not self.drawn.stable.all():
@@ -66,7 +77,7 @@ class Evaluation:
 
     @property
     def result(self) -> Uncertainty:
-        """The values with their uncertainties in the units of the tasks."""
+        """Result with values and uncertainties in the units of the tasks."""
         origin = self.inputs.origin
         if isinstance(origin, Coordinates):
             source, frame, sigma0 = SourceEntry.listed(origin), "that of the list of coordinates", None
@@ -114,17 +125,20 @@ class Evaluation:
         )
 
     def _hidden(self, i: int, unit: float, sigma: float) -> tuple[HiddenPart, ...]:
-        """Errors that no reading shows and that change one result by more than `MATTERS` of its uncertainty."""
+        """Errors without effect on readings that change a result by `MIN_HIDDEN_SHARE` of its uncertainty or more."""
         changes = {
             name: abs(float(self.linear.by_points[i] @ moved)) / unit for name, moved in self.inputs.hidden.items()
         }
         ranked = sorted(changes, key=lambda name: -changes[name])
         return tuple(
-            HiddenPart(source=name, change=changes[name]) for name in ranked if changes[name] > MATTERS * sigma
+            HiddenPart(source=name, change=changes[name]) for name in ranked if changes[name] > MIN_HIDDEN_SHARE * sigma
         )
 
     def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
-        """Sources of one result with their share of its variance, the largest first; they add up to 1."""
+        """Budget of one result: sources with their fraction of its variance, the largest first.
+
+        The fractions add up to 1.
+        """
         shares, kinds = {name: float(share[i]) for name, share in self.linear.shares.items()}, self.linear.kinds
         total = sum(shares.values())
         ranked = [
@@ -143,13 +157,13 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
 
 
 def evaluate_listed_tasks(coordinates: Coordinates, tasks: Tasks) -> Evaluation:
-    """The same of coordinates with their covariance."""
+    """Results of tasks on a list of coordinates with their covariance."""
     return _evaluated(Inputs.listed(coordinates, tasks), tasks)
 
 
 @single_threaded
 def _evaluated(inputs: Inputs, tasks: Tasks) -> Evaluation:
-    """Results of tasks on points whose covariance is known."""
+    """Results of tasks on points with known covariance."""
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)

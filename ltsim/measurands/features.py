@@ -1,4 +1,4 @@
-"""Geometric features fitted to points by least squares of orthogonal distances, many sets of points at once.
+"""Geometric features fitted to points by orthogonal least squares, for many sets of points at once.
 
 Line and plane are closed forms; circle, sphere and cylinder are Gauss-Newton iterations from algebraic starts. Points
 (..., n, 3) [m] carry any leading dimensions: draws of a Monte Carlo trial, or steps of a derivative.
@@ -17,48 +17,48 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
 
 ITERATIONS = 60
-CONVERGED = 1e-11
-"""A step smaller than this share of the points' extent is the last."""
-DIRECTIONS = 60
-"""Axes from which a cylinder is started, spread over half the sphere."""
+STEP_TOLERANCE = 1e-11
+"""Largest step, relative to the extent of the points, at which an iteration has converged."""
+INITIAL_AXES = 60
+"""Number of initial axes of a cylinder, distributed over a half sphere."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """A fitted element."""
+    """Fitted geometric feature."""
 
     centre: Floats
-    """A point of the line, plane or axis (the foot of the points' centroid), or the centre, (..., 3) [m]."""
+    """Point on the line, plane or axis (the foot of the centroid of the points), or the centre, (..., 3) [m]."""
     normal: Floats
-    """Direction of the line or axis, normal of the plane or of the circle's plane; a unit vector, (..., 3). NaN for a
+    """Direction of the line or axis, or normal of the plane or of the circle's plane, a unit vector (..., 3); NaN for a
     sphere.
     """
     radius: Floats
-    """[m]: naN for line and plane."""
+    """Radius [m]; NaN for line and plane."""
     deviations: Floats
-    """(..., n) [m]: signed orthogonal distances from the element; for a line and a circle in space, which have no
-    sides, the distance for the line and the larger of radial and axial deviation, with its sign, for the circle.
+    """Signed orthogonal distances (..., n) [m] from the feature. For a line in space it is the unsigned distance, for a
+    circle in space the larger of radial and axial deviation with its sign.
     """
 
 
-LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
-"""Points that determine each element."""
+MIN_POINTS = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
+"""Smallest number of points that determine each feature."""
 
 
 def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
-    """The element that fits points (..., n, 3) [m] best: line, plane, circle, sphere or cylinder.
+    """Least-squares feature for points (..., n, 3) [m]: line, plane, circle, sphere or cylinder.
 
-    It is started `near` an element of one set of points; a cylinder without one from many axes. Raises ModelError when
-    the points do not determine the element.
+    `near` is an approximate feature; without it a cylinder starts from many axes. Raises ModelError if the points do
+    not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
-    if points.shape[-2] < LEAST[kind]:
-        raise ModelError(f"a {kind} needs at least {LEAST[kind]} points, not {points.shape[-2]}")
+    if points.shape[-2] < MIN_POINTS[kind]:
+        raise ModelError(f"a {kind} needs at least {MIN_POINTS[kind]} points, not {points.shape[-2]}")
     middle = points.mean(axis=-2, keepdims=True)
     local = points - middle
     extent = np.sqrt(np.mean(np.sum(local**2, axis=-1), axis=-1))
     if not np.all(extent > 0):
-        raise ModelError(f"the points of the {kind} are all at one place")
+        raise ModelError(f"the points of the {kind} coincide")
     local = local / extent[..., None, None]
     place, scale = middle[..., 0, :], extent[..., None]
     if near is not None:
@@ -70,7 +70,7 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
 
 def _fit_line(local: Floats, _near: Feature | None) -> Feature:
     _, s, v = np.linalg.svd(local, full_matrices=False)
-    _determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "have no direction of their own")
+    _determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "do not define a direction")
     direction = v[..., 0, :]
     along = np.einsum("...ni,...i->...n", local, direction)
     side = local - along[..., None] * direction[..., None, :]
@@ -96,7 +96,7 @@ def _fit_sphere(local: Floats, _near: Feature | None) -> Feature:
         design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
         step = _step(design, length - radius[..., None], "sphere")
         centre, radius = centre + step[..., :3], radius + step[..., 3]
-        if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
+        if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     deviations = np.linalg.norm(local - centre[..., None, :], axis=-1) - radius[..., None]
     return Feature(centre, np.full_like(centre, np.nan), radius, deviations)
@@ -118,7 +118,7 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
         shift = step[..., :1] * first + step[..., 1:2] * second + step[..., 2:3] * normal
         centre, radius = centre + shift, radius + step[..., 5]
         normal = _unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
-        if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
+        if np.abs(step).max(initial=0.0) < STEP_TOLERANCE * (1 + np.abs(radius).max()):
             break
     _, height, x, y = _about(local, centre, normal)
     radial = np.hypot(x, y) - radius[..., None]
@@ -126,12 +126,12 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
 
 
 def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
-    """Cylinder through points: the best of many axes, each with an algebraic circle across it, is refined."""
+    """Cylinder through points: of many axes, each with an algebraic circle perpendicular to it, the best is refined."""
     if near is not None:
         return _refined_cylinder(local, near.normal, near.centre, near.radius)
     features = []
     for points in local.reshape(-1, *local.shape[-2:]):
-        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
+        axes = np.concatenate([np.linalg.svd(points, full_matrices=False)[2], _half_sphere(INITIAL_AXES)])
         many = np.broadcast_to(points, (len(axes), *points.shape))
         centre, radius = _circle_across(many, axes, strict=False)
         gap = np.hypot(*_about(many, centre, axes)[2:]) - radius[:, None]
@@ -158,14 +158,14 @@ def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Flo
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
         normal = _unit(normal + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
-        if np.nanmax(size, initial=0.0) < CONVERGED:
+        if np.nanmax(size, initial=0.0) < STEP_TOLERANCE:
             break
     centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
     return Feature(centre, normal, radius, np.hypot(*_about(local, centre, normal)[2:]) - radius[..., None])
 
 
 def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
-    """Two directions across an axis, and the coordinates (..., n) of points along it and along these."""
+    """Two directions perpendicular to an axis, and coordinates (..., n) of points along axis and directions."""
     sides = _across(normal)
     arm = local - centre[..., None, :]
     height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (normal, *sides))
@@ -173,14 +173,14 @@ def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats,
 
 
 def _circle_across(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
-    """Centre (..., 3) and radius (...) of the algebraic circle through points as they are seen along an axis."""
+    """Centre (..., 3) and radius (...) of the algebraic circle through points projected along an axis."""
     (first, second), _, x, y = _about(local, np.zeros_like(normal), normal)
     middle, radius = _algebraic(np.stack([x, y], axis=-1), strict=strict)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
 
 
 def _algebraic(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
-    """Centre (..., d) and radius (...) with least squares of |p|^2 - 2 c p - k: a start that needs no start."""
+    """Centre (..., d) and radius (...) from least squares of |p|^2 - 2 c p - k, which needs no start values."""
     design = np.concatenate([2.0 * local, np.ones((*local.shape[:-1], 1))], axis=-1)
     right = np.sum(local**2, axis=-1)
     solution = -_step(design, right, "sphere" if local.shape[-1] == 3 else "circle", strict=strict)
@@ -190,7 +190,10 @@ def _algebraic(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
 
 
 def _step(design: Floats, gap: Floats, kind: str, *, strict: bool = True) -> Floats:
-    """The step (..., k) that takes `gap` (..., m) down by its `design` (..., m, k); NaN, or refused, where singular."""
+    """Least-squares step (..., k) for `gap` (..., m) and `design` (..., m, k).
+
+    NaN, or an error if `strict`, for a singular design.
+    """
     q, r = np.linalg.qr(design)
     pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
     whole = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
@@ -212,7 +215,7 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _across(normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (..., 3) that make a right-handed frame with `normal`, chosen smoothly near any direction."""
+    """Two unit vectors (..., 3) that form a right-handed frame with `normal` and depend on it smoothly."""
     least = np.argmin(np.abs(normal.reshape(-1, 3)).mean(axis=0)) if normal.ndim > 1 else int(np.argmin(np.abs(normal)))
     helper = np.eye(3)[least]
     parallel = np.abs(normal @ helper)[..., None] > 0.95
@@ -222,7 +225,7 @@ def _across(normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _half_sphere(count: int) -> Floats:
-    """Directions (count, 3) spread evenly over half the sphere (a Fibonacci spiral)."""
+    """Directions (count, 3) distributed evenly over a half sphere (Fibonacci spiral)."""
     i = np.arange(count) + 0.5
     z = i / count
     turn = i * np.pi * (3.0 - np.sqrt(5.0))

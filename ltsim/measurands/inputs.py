@@ -1,8 +1,8 @@
-"""Inputs of the results: adjusted points, and every source of their uncertainty with its reach.
+"""Inputs of the results: adjusted points, and all sources of their uncertainty with their influence on the points.
 
 To first order an adjusted point moves with the readings by P = N^-1 A' (N the normal matrix, A the whitened design):
-the errors of any group of observations, and any effect that shifts readings, reach the points through the same P. So
-the covariance of the points falls apart into the shares of its sources, which add up to the whole.
+the errors of all groups of observations, and effects that change readings, influence the points through the same P. The
+covariance of the points is thus the sum of the contributions of its sources.
 """
 
 from dataclasses import dataclass, field, replace
@@ -29,11 +29,13 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
 
 SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
-"""Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""
+"""Standard deviation of each distribution of unit size; the size of a normal distribution is its standard deviation."""
 
 
-LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker guarantees"
-"""Names of groups of observations; the last is the prior of the instrument's constants."""
+LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "specification"
+"""Names of groups of observations; the last one is the prior of the instrument's constants."""
+STREAM_KEYS = {PRIORS: "what the maker guarantees"}
+"""Keys of random streams that differ from the name of their source; the draws of a seed depend on them."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,9 @@ class Source(ValueEquality):
 
     name: str
     kind: Literal["A", "B"]
-    """``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest."""
+    """Type of evaluation: ``A`` for repeated observations and for values declared with observations, ``B`` for all
+    others.
+    """
     response: Floats
     """Displacement of the points for one standard deviation of each independent variate, (3 T, q) [m]."""
     distribution: str = "normal"
@@ -50,34 +54,36 @@ class Source(ValueEquality):
 
     @property
     def covariance(self) -> Floats:
-        """(3 T, 3 T) [m^2]."""
+        """Covariance of the points from this source, (3 T, 3 T) [m^2]."""
         return self.response @ self.response.T
 
 
 @dataclass(frozen=True)
 class Inputs(ValueEquality):
-    """Estimated points and what they depend on."""
+    """Estimated points and the sources of their uncertainty."""
 
     origin: Adjustment | Coordinates
-    """The adjusted network, or the list of coordinates with their covariance."""
+    """Adjusted network, or list of coordinates with its covariance."""
     targets: tuple[str, ...]
-    """The points that the tasks use."""
+    """Names of the points that the tasks use."""
     points: Floats
-    """(T, 3) [m]."""
+    """Coordinates of the points, (T, 3) [m]."""
     reach: Floats
-    """Displacement of the points for a unit of each whitened row of the adjustment, (m, 3 T) [m]."""
+    """Displacement of the points per unit of each whitened row of the adjustment, (m, 3 T) [m]."""
     sources: tuple[Source, ...]
     air: str = ""
-    """Description of the air in the sources; empty where ranges are short."""
+    """Text of the air in the sources; empty for short ranges."""
     hidden: dict[str, Floats] = field(default_factory=dict)
-    """Displacements (3 T,) [m] by errors that no reading shows, one standard deviation of each; not in the sources."""
+    """Displacements (3 T,) [m] by one standard deviation of each error without effect on the readings; not in the
+    sources.
+    """
 
     @classmethod
     def of(cls, recording: Recording, tasks: Tasks) -> Self:
-        """Adjust a recording and trace the points of the tasks back to their sources.
+        """Points of the tasks from an adjusted recording, with the sources of their uncertainty.
 
-        Raises NetworkError, ConvergenceError when the network cannot be solved; ModelError, SetupError when a target or
-        an effect does not exist.
+        Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or SetupError for an unknown
+        target or effect.
         """
         construction = declared_construction(recording) if tasks.calibrate else ideal()
         adjustment = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
@@ -102,14 +108,14 @@ class Inputs(ValueEquality):
 
     @classmethod
     def listed(cls, coordinates: Coordinates, tasks: Tasks) -> Self:
-        """The points of the tasks in a list of coordinates, which depend on its joint covariance alone.
+        """Points of the tasks from a list of coordinates, whose only source of uncertainty is its joint covariance.
 
-        Raises ModelError where a task asks for points or axes that the list lacks, or for sources that act on readings.
+        Raises ModelError for points or axes that the list lacks, and for sources that act on readings.
         """
         if tasks.type_b:
-            raise ModelError("a list of coordinates holds no readings: type_b acts on readings; give their recording")
+            raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
         if len(coordinates.axes) < 3:
-            raise ModelError(f"the list holds {coordinates.axes} alone; tasks need x, y and z")
+            raise ModelError(f"the list has only {coordinates.axes}; tasks need x, y and z")
         names = _used(tasks)
         for name in names:
             if name not in coordinates.names:
@@ -133,10 +139,10 @@ def _used(tasks: Tasks) -> tuple[str, ...]:
 
 
 def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
-    """The groups of observations; a standard deviation of each row is a variate. What only defines the frame is none.
+    """Sources of the groups of observations, with one variate per row; rows that only define the frame have none.
 
-    Errors that known lengths share, of a coefficient of expansion or a thermometer, are sources of their own, as are
-    the errors of a known size that the adjustment estimates: of heads, of reflectors, of readings together.
+    Shared errors of reference lengths (expansion coefficient, thermometer) are separate sources, as are the nuisance
+    errors with a prior that the adjustment estimates (heads, reflectors, groups of readings).
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.use)[1]
@@ -164,7 +170,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
 
 
 def _sources_of_certificates(adjustment: Adjustment, reach: Floats) -> list[Source]:
-    """Errors whose size is known beforehand, kind by kind; `reach` begins with the rows of the further effects."""
+    """Sources of nuisance errors with a prior, by kind; `reach` begins with the rows of the additional effects."""
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
@@ -176,7 +182,10 @@ def _sources_of_certificates(adjustment: Adjustment, reach: Floats) -> list[Sour
 
 
 def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
-    """The radius of each SMR whose standard deviation is stated: one error of all its pointings, along the normals."""
+    """Sources of the radii of SMRs with a declared standard deviation.
+
+    All pointings of an SMR share one error, along the normals.
+    """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
     rows, columns = np.nonzero(problem.use)
     normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
@@ -190,7 +199,7 @@ def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
 
 
 def _air_of(tasks: Tasks, adjustment: Adjustment) -> Air:
-    """Air of a budget, less the properties that the tasks declare themselves."""
+    """Air of a budget, without the properties that tasks declare themselves."""
     declared = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
     air = tasks.air or adjustment.recording.setup.air or Air()
@@ -198,13 +207,13 @@ def _air_of(tasks: Tasks, adjustment: Adjustment) -> Air:
 
 
 def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
-    """Sources by the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
+    """Sources of the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
     responses = air_responses(adjustment, reach, air)
     return [Source(name, "B", _compact(response)) for name, response in responses.items()]
 
 
 def _compact(response: Floats) -> Floats:
-    """A response with the same covariance and at most as many variates as coordinates."""
+    """Response with the same covariance and at most as many variates as coordinates."""
     if response.shape[1] <= response.shape[0]:
         return response
     return np.asarray(np.linalg.qr(response.T, mode="r")).T
@@ -236,13 +245,13 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
 
 
 def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
-    """The effect of an entry and the sizes (p,) [SI] of its parameters."""
+    """Effect of an entry, and the sizes (p,) [SI] of its parameters."""
     try:
         effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
     except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
-        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")
+        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; declare it as the instrument's noise")
     for what, wanted, choices in (
         ("station", entry.stations, recording.stations),
         ("target", entry.targets, recording.targets),
@@ -260,7 +269,7 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
 
 
 def _shares(recording: Recording, shared: str) -> Ints:
-    """Pointings with the same number share one draw, (n,)."""
+    """Group numbers (n,) of the pointings; those with equal numbers share one draw."""
     return {
         "all": np.zeros(len(recording), dtype=np.int64),
         "station": recording.station,

@@ -1,4 +1,4 @@
-"""Measurands: results of each kind of task from points, in display units, for one or many sets of points."""
+"""Measurands: results of each kind of task from points, in units of display, for one or many sets of points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from ltsim.measurands.features import Feature, fit
 from ltsim.measurands.spec import Task
 
 STEP = 1e-5
-"""[m] Half the step of the central differences: rounding and curvature are both far below a nanometre."""
+"""Half the step [m] of central differences; errors by rounding and curvature are far below a nanometre."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,19 @@ def _deg(*names: str) -> list[Output]:
 
 @dataclass(frozen=True)
 class Measurand(ValueEquality):
-    """A task on the points of a network."""
+    """Measurand: a task applied to points of a network."""
 
     task: Task
     at: Ints
-    """(k,): its targets among the network's points."""
+    """Indices of its targets among the network's points, (k,)."""
     near: Feature | None = field(default=None, repr=False)
-    """The element fitted to the estimated points: start of every further fit and side of every direction."""
+    """Feature fitted to the estimated points, the start of all further fits and the reference for signs."""
 
     @classmethod
     def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
-        """The task on targets of a network at points (T, 3) [m].
+        """Measurand of a task on targets at points (T, 3) [m].
 
-        Raises ModelError when a target does not exist, was not determined, or the points do not determine the feature.
+        Raises ModelError for an unknown or undetermined target, and if the points do not determine the feature.
         """
         for name in task.targets:
             if name not in targets:
@@ -73,7 +73,7 @@ class Measurand(ValueEquality):
 
     @property
     def outputs(self) -> list[Output]:
-        """The numbers of the task, in order."""
+        """Results of the task in order: name and unit."""
         kind = self.task.kind
         if kind in _OUTPUTS:
             return _OUTPUTS[kind]
@@ -83,7 +83,7 @@ class Measurand(ValueEquality):
         return [*_mm("x", "y", "z"), *_deg("turn-x", "turn-y", "turn-z"), *scale]
 
     def values(self, points: Floats, stretch: Floats | float = 1.0) -> Floats:
-        """Results (..., k) [SI] of points (..., T, 3) [m], each set shrunk about its middle by its `stretch` (...)."""
+        """Results (..., k) [SI] for points (..., T, 3) [m], each set scaled about its centre by its `stretch` (...)."""
         chosen = points[..., self.at, :]
         middle = chosen.mean(axis=-2, keepdims=True)
         chosen = middle + (chosen - middle) / np.asarray(stretch)[..., None, None]
@@ -103,7 +103,7 @@ class Measurand(ValueEquality):
         return self._fitted(chosen)
 
     def by_points(self, points: Floats, stretch: float = 1.0) -> Floats:
-        """Derivative (k, 3 T) of the results by the coordinates of points (T, 3), by central differences."""
+        """Derivative (k, 3 T) of the results with respect to points (T, 3), by central differences."""
         count = 3 * len(self.at)
         columns = (3 * self.at[:, None] + np.arange(3)).ravel()
         steps = np.zeros((2 * count, points.size))
@@ -115,7 +115,7 @@ class Measurand(ValueEquality):
         return change
 
     def by_stretch(self, points: Floats, stretch: float = 1.0) -> Floats:
-        """Derivative (k,) of the results by the stretch."""
+        """Derivative (k,) of the results with respect to the stretch."""
         both = np.array([stretch + STEP, stretch - STEP])
         values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
         return (values[0] - values[1]) / (2 * STEP)
@@ -158,7 +158,7 @@ def _angle(chosen: Floats) -> Floats:
     first, second = chosen[..., 0, :] - chosen[..., 1, :], chosen[..., 2, :] - chosen[..., 1, :]
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
-        raise ModelError("an arm of the angle has no length")
+        raise ModelError("an arm of the angle has length 0")
     return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 

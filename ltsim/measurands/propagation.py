@@ -1,10 +1,10 @@
-"""Propagation of uncertainty: to first order (JCGM 100, 102), and by Monte Carlo (JCGM 101, clauses 7 and 8).
+"""Propagation of uncertainty: first order (JCGM 100, 102), and Monte Carlo (JCGM 101, clauses 7 and 8).
 
-For Monte Carlo every source is drawn from its own distribution and its own stream; points move by its response, the
-tasks are then evaluated exactly. The same draws are put through the linear model too, whose distribution is known
-without drawing: a sum of independent variates. What Monte Carlo has to find is then only the difference of the two (a
-control variate), which for a nearly linear task takes few trials and for a linear one none. Trials come in batches
-until averages over batches are known to a fifth of the tolerance, as a comparison with the linear interval asks for
+For Monte Carlo every source is drawn from its distribution with a separate stream, points are displaced by its
+response, and the tasks are evaluated exactly. The linear model is evaluated with the same draws; its distribution, that
+of a sum of independent variates, is known exactly. Monte Carlo therefore only estimates the difference of the two (a
+control variate), which needs few trials for a nearly linear task and none for a linear one. Batches of trials are added
+until averages over batches are known to a fifth of the tolerance, as a comparison with the linear interval requires
 (clause 8.2).
 """
 
@@ -20,18 +20,18 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import Expansion
-from ltsim.measurands.inputs import Inputs
+from ltsim.measurands.inputs import STREAM_KEYS, Inputs
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarlo, PartExpansion
 from ltsim.recordings.coordinates import Coordinates
 
 CHECKS = 8
-CURVED = 0.05
-"""Share of a standard uncertainty by which the exact adjustment may miss the linear one before it is said."""
+MAX_CURVATURE = 0.05
+"""Difference between the exact and the linear adjustment, in standard uncertainties, from which it is reported."""
 
 
 def expansion_of(growth: PartExpansion | None) -> Expansion:
-    """The part's expansion as an input: it was too long by that factor when it was measured."""
+    """Expansion of the part from calibration to measurement, as an input quantity."""
     if growth is None:
         return Expansion()
     kelvin = growth.measured_c - growth.reference_c
@@ -39,47 +39,47 @@ def expansion_of(growth: PartExpansion | None) -> Expansion:
 
 
 def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
-    """Name and size of each error of the part's expansion."""
+    """Names and sizes of the errors of the part's expansion."""
     named = [("expansion of the part", stretch.by_coefficient), ("temperature of the part", stretch.by_temperature)]
     return [(name, change) for name, change in named if change]
 
 
 @dataclass(frozen=True)
-class Propagated(ValueEquality):
+class LinearUncertainty(ValueEquality):
     """Results of all tasks together by the law of propagation."""
 
     values: Floats
-    """Results of all tasks, one after another [SI], (k,)."""
+    """Results of all tasks, in sequence, (k,) [SI]."""
     covariance: Floats
-    """(k, k)."""
+    """Covariance of the results, (k, k)."""
     shares: dict[str, Floats]
-    """Variance of each result by source; they add up to the diagonal of the covariance, (k,)."""
+    """Variance of each result by source, (k,); the values add up to the diagonal of the covariance."""
     kinds: dict[str, Literal["A", "B"]]
-    """``A`` or ``B`` of each source."""
+    """Type of evaluation of each source, ``A`` or ``B``."""
     by_points: Floats
-    """Derivative of the results by the points, (k, 3 T)."""
+    """Derivative of the results with respect to the points, (k, 3 T)."""
     by_stretch: Floats
-    """Derivative by the part's expansion, (k,)."""
+    """Derivative of the results with respect to the part's expansion, (k,)."""
 
     @property
     def sigma(self) -> Floats:
-        """Standard uncertainty (k,)."""
+        """Standard uncertainty of each result, (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def expanded(self, coverage: float) -> Floats:
-        """Expanded uncertainty (k,) for a coverage probability, each result by itself (normal)."""
+        """Expanded uncertainty (k,) for a coverage probability, of each result separately (normal distribution)."""
         return float(special.ndtri(0.5 + coverage / 2)) * self.sigma
 
     @property
     def correlation(self) -> Floats:
-        """Correlation (k, k) of the results; NaN where a result has no uncertainty."""
+        """Correlation (k, k) of the results; NaN for a result without uncertainty."""
         with np.errstate(invalid="ignore", divide="ignore"):
             correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
         return correlation
 
 
-def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> Propagated:
-    """First-order propagation of every source through adjustment and tasks."""
+def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> LinearUncertainty:
+    """First-order propagation of all sources through adjustment and tasks."""
     points = inputs.points
     values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
     by_points = np.concatenate([m.by_points(points, stretch.factor) for m in measurands])
@@ -97,13 +97,14 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
         kinds[name] = "B"
-    return Propagated(values, covariance, shares, kinds, by_points, by_stretch)
+    return LinearUncertainty(values, covariance, shares, kinds, by_points, by_stretch)
 
 
 def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Floats:
-    """Largest gap (k,) [SI] between exact and linear change of each result, adjusted anew with a few draws of noise.
+    """Largest difference (k,) [SI] between the exact and the linear change of each result.
 
-    Zero for a list of coordinates: what made them is not at hand.
+    The adjustment is repeated with a few noise draws. The difference is zero for a list of coordinates, whose readings
+    are not available.
     """
     origin = inputs.origin
     if isinstance(origin, Coordinates):
@@ -132,50 +133,50 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
 
 
 BATCH = 10_000
-PIECE = 1_000
-"""Trials evaluated at once: enough to be fast, few enough to stay small."""
-FINE = 5.0
-"""Part of the tolerance to which figures are found that are compared with it (clause 8.2)."""
-NORMAL = 1e-9
-"""Share of a variance below which variates that are not normal leave a sum normal."""
+TRIALS_PER_CALL = 1_000
+"""Number of trials that are evaluated together, for speed at moderate memory."""
+TOLERANCE_RATIO = 5.0
+"""Ratio of the tolerance to the numerical error of results that are compared with it (clause 8.2)."""
+MAX_NON_NORMAL_SHARE = 1e-9
+"""Fraction of a variance below which non-normal variates are neglected in a sum."""
 STEP, STEPS = 0.05, 40_000
-"""Step, per standard deviation, and number of steps of the integral over the characteristic function."""
+"""Step per standard deviation, and number of steps, of the integral over the characteristic function."""
 CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
     "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,
     "arcsine": lambda t: special.j0(np.sqrt(2.0) * t),
 }
-"""Characteristic functions of the variates of `variates`, of unit standard deviation."""
+"""Characteristic functions of the distributions with unit standard deviation."""
 
 
 @dataclass(frozen=True)
-class Drawn(ValueEquality):
-    """The distribution of the results."""
+class MonteCarloUncertainty(ValueEquality):
+    """Distribution of the results by Monte Carlo."""
 
     values: Floats
-    """(trials, k)."""
+    """Results of all trials, (trials, k)."""
     mean: Floats
     sigma: Floats
-    """(k,) each."""
+    """Mean and standard deviation of each result, (k,)."""
     symmetric: Floats
     shortest: Floats
-    """Coverage intervals with equal tails, and the shortest, (k, 2)."""
+    """Coverage intervals of each result, (k, 2): probabilistically symmetric, and shortest."""
     error: Floats
-    """Numerical error of the ends of the symmetric interval, two standard deviations, (k,)."""
+    """Numerical error (two standard deviations) of the limits of the symmetric interval, (k,)."""
     stable: Bools
-    """(k,): whether the figures are stable to the digits asked for."""
+    """Flags (k,) of the results that are stable to the requested digits."""
     tolerance: Floats
-    """Half a unit of the last digit of the standard uncertainty (clause 7.9.2), (k,)."""
+    """Numerical tolerance (k,): half a unit in the last requested digit of the standard uncertainty (clause 7.9.2)."""
 
     @property
     def trials(self) -> int:
         """Number of trials."""
         return len(self.values)
 
-    def agrees(self, linear: Propagated, coverage: float) -> Bools:
-        """(k,): whether the linear interval's ends are those of the distribution within the tolerance (clause 8).
+    def agrees(self, linear: LinearUncertainty, coverage: float) -> Bools:
+        """Flags (k,) that the limits of the linear interval agree with those of the distribution (clause 8).
 
-        What the numerical error leaves open counts as agreement; where the figures are stable that is a fifth.
+        The numerical error is allowed for in favour of agreement; for stable results it is a fifth of the tolerance.
         """
         expanded = linear.expanded(coverage)
         ends = np.stack([linear.values - expanded, linear.values + expanded], axis=1)
@@ -184,9 +185,9 @@ class Drawn(ValueEquality):
 
 
 def draw(
-    inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo, linear: Propagated
-) -> Drawn:
-    """Trials until every figure is known to a fifth of its tolerance, or the most that the settings allow."""
+    inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo, linear: LinearUncertainty
+) -> MonteCarloUncertainty:
+    """Distribution from trials until all results are known to a fifth of their tolerance, or up to a number."""
     exact = _linear_figures(inputs, linear, settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
@@ -195,7 +196,7 @@ def draw(
     power = np.floor(np.log10(np.where(uncertain, linear.sigma, 1.0))) - (settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear.values)), np.inf)
-    while len(samples) < most and not np.all(FINE * error <= tolerance):
+    while len(samples) < most and not np.all(TOLERANCE_RATIO * error <= tolerance):
         shift, grown = _errors(inputs, stretch, settings.seed, len(samples))
         by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
         points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
@@ -205,7 +206,7 @@ def draw(
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
     every = np.concatenate(samples)
-    return Drawn(
+    return MonteCarloUncertainty(
         values=every,
         mean=mean,
         sigma=sigma,
@@ -222,7 +223,8 @@ def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple
     shift = np.zeros((BATCH, inputs.points.size))
     for i, source in enumerate(inputs.sources):
         shape = BATCH, source.response.shape[1]
-        rng = stream(seed, "uncertainty", source.name, i, number)
+        key = STREAM_KEYS.get(source.name, source.name)
+        rng = stream(seed, "uncertainty", key, i, number)
         shift += variates(rng, source.distribution, shape) @ source.response.T
     grown = np.zeros(BATCH)
     for name, sigma in parts_of(stretch):
@@ -231,14 +233,14 @@ def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple
 
 
 def _results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
-    """Results (BATCH, k) at points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
-    pieces = [slice(at, at + PIECE) for at in range(0, BATCH, PIECE)]
+    """Results (BATCH, k) for points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
+    pieces = [slice(at, at + TRIALS_PER_CALL) for at in range(0, BATCH, TRIALS_PER_CALL)]
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(rows)
 
 
-def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floats:
-    """Mean, standard deviation and the ends of the interval of the linear model, without drawing, (4, k)."""
+def _linear_figures(inputs: Inputs, linear: LinearUncertainty, coverage: float) -> Floats:
+    """Mean, standard deviation and interval limits of the linear model without random draws, (4, k)."""
     others = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
     half = np.array(
         [
@@ -250,12 +252,13 @@ def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floa
 
 
 def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: float) -> float:
-    """Half the coverage interval of a sum of independent symmetric variates of variance sigma^2 in all.
+    """Half-width of the coverage interval of a sum of independent symmetric variates with total variance sigma^2.
 
-    By the characteristic function, which is a product, and its inversion (Gil-Pelaez, Biometrika 38 (1951) 481).
+    It is computed by inversion of the characteristic function, which is a product (Gil-Pelaez, Biometrika 38 (1951)
+    481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in others)
-    if sigma == 0 or independent <= NORMAL * sigma**2:
+    if sigma == 0 or independent <= MAX_NON_NORMAL_SHARE * sigma**2:
         return float(special.ndtri(0.5 + coverage / 2)) * sigma
     at = STEP * (np.arange(STEPS) + 0.5)
     damping = np.exp(-0.5 * max(1.0 - independent / sigma**2, 0.0) * at**2)
@@ -270,7 +273,7 @@ def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: fl
 
 
 def variates(rng: np.random.Generator, distribution: str, shape: tuple[int, ...]) -> Floats:
-    """Draws of zero mean and unit standard deviation."""
+    """Random draws with zero mean and unit standard deviation."""
     if distribution == "rectangular":
         return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), shape)
     if distribution == "triangular":
@@ -281,7 +284,7 @@ def variates(rng: np.random.Generator, distribution: str, shape: tuple[int, ...]
 
 
 def _figures(values: Floats, coverage: float) -> Floats:
-    """Mean, standard deviation and the ends of the symmetric interval of one batch, (4, k)."""
+    """Mean, standard deviation and limits of the symmetric interval of one batch, (4, k)."""
     tail = 50.0 * (1.0 - coverage)
     ends = np.percentile(values, [tail, 100.0 - tail], axis=0)
     return np.stack([values.mean(axis=0), values.std(axis=0, ddof=1), *ends])

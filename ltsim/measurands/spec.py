@@ -1,4 +1,4 @@
-"""A task file (ltsim-tasks/1): what is measured, how well it has to be known, and what the readings do not tell."""
+"""Task file (ltsim-tasks/1): measurands, tolerances, and errors that the readings do not contain."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,11 +29,11 @@ Kind = Literal[
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Level = Annotated[float, Field(gt=0.5, lt=1.0)]
 POINTS = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
-"""Targets of the kinds that take a fixed number."""
+"""Number of targets, for kinds of tasks with a fixed number."""
 
 
 class Tolerance(TomlSection):
-    """Limits of one result of a task, in its unit; either may be left open."""
+    """Tolerance limits of one result of a task, in its unit; each is optional."""
 
     lower: Finite | None = None
     """Lower limit."""
@@ -50,13 +50,13 @@ class Tolerance(TomlSection):
 
 
 class Task(TomlSection):
-    """A task: a measurand and its targets.
+    """Task: a measurand and its targets.
 
     `point` gives coordinates, `rod` those of a hidden point `beyond_mm` past the second of two reflectors on a rod,
     `distance` takes two targets, `angle` three (the vertex in the middle). Features are fitted by least squares.
-    `transformation` moves `nominal_mm` onto the targets by a best fit, `pose` gives the same as the place and the turn
-    of a part; `deviation` compares each target with its nominal point after that fit, or as they are with
-    ``fit = false``.
+    `transformation` aligns `nominal_mm` to the targets by least squares, `pose` gives the same as position and rotation
+    of a part; `deviation` compares each target with its nominal point after that alignment, or without it if ``fit =
+    false``.
     """
 
     name: str
@@ -64,19 +64,19 @@ class Task(TomlSection):
     kind: Kind
     """Kind of measurand that is computed from the targets."""
     targets: Names
-    """Names, in the order that the kind asks for."""
+    """Names of the targets, in the order that the kind requires."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
     """Nominal points by target, for `transformation`, `pose` and `deviation`."""
     fit: bool = True
-    """Fit the targets to their nominal points first."""
+    """True if the targets are first aligned to their nominal points."""
     scale: bool = False
-    """The fit has a scale."""
+    """True if the alignment includes a scale."""
     beyond_mm: Finite = 0.0
     """Distance from the second reflector of a rod to its tip."""
     radius_offset_mm: Finite = 0.0
-    """Added to fitted radii: the SMR's own."""
+    """Length that is added to fitted radii, such as the SMR radius."""
     tolerances: dict[str, Tolerance] = Field(default_factory=dict)
-    """Limits by result, tables `[task.tolerances.RESULT]`."""
+    """Tolerance limits by result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -86,7 +86,7 @@ class Task(TomlSection):
         if len(set(self.targets)) < len(self.targets):
             raise ValueError("it should name each target once")
         if (self.kind == "rod") != (self.beyond_mm != 0):
-            raise ValueError("it should give beyond_mm, not 0, for a rod and for nothing else")
+            raise ValueError("it should give beyond_mm, not 0, for a rod and only for a rod")
         if self.kind in ("transformation", "pose", "deviation"):
             missing = [name for name in self.targets if name not in self.nominal_mm]
             if missing:
@@ -95,21 +95,21 @@ class Task(TomlSection):
 
 
 class TypeB(TomlSection):
-    """An effect that the readings do not show, with the distribution of its size.
+    """Effect that is not visible in the readings, with the distribution of its size.
 
     `sizes` holds a standard deviation (`normal`) or a half-width (the others) for parameters of the effect, in their
-    units; without them each has its plausible size as standard deviation. `shared` says how far one draw reaches:
-    one for all pointings, or one a station, an instrument, a target or a pointing.
+    units; without them each has its plausible size as standard deviation. `shared` is the scope of one draw: all
+    pointings, or those of a station, an instrument or a target, or a single pointing.
     """
 
     effect: str
-    """Name of the effect as `ltsim effects` lists it."""
+    """Name of the effect, as listed by `ltsim effects`."""
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
     """Distribution of the sizes."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
-    """Standard deviation or half-width by parameter, in display units."""
+    """Standard deviation or half-width by parameter, in units of display."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
-    """Reach of one draw: all pointings, or those of a station, an instrument, a target, or a single pointing."""
+    """Scope of one draw: all pointings, or those of a station, an instrument or a target, or a single pointing."""
     stations: tuple[str, ...] = ()
     """Names of the stations where it acts; empty for all."""
     targets: tuple[str, ...] = ()
@@ -117,69 +117,69 @@ class TypeB(TomlSection):
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, as in a scenario."""
     name: str = ""
-    """Name in the budget; the effect's name where it is not given."""
+    """Name in the budget; default the name of the effect."""
 
 
 class PartExpansion(TomlSection):
-    """The part's own expansion: results hold at `reference_c`, the points were measured at `measured_c`."""
+    """Thermal expansion of the part: results refer to `reference_c`, the points were measured at `measured_c`."""
 
     expansion_per_k: Finite
     """Coefficient of thermal expansion."""
     sigma_expansion_per_k: NonNegative = 0.0
     """Standard deviation of the coefficient of expansion."""
     measured_c: Finite = 20.0
-    """Temperature of the part at the measurement."""
+    """Temperature of the part during the measurement."""
     sigma_temperature_k: NonNegative = 0.0
     """Standard deviation of the temperature."""
     reference_c: Finite = 20.0
-    """Temperature at which results hold."""
+    """Temperature to which results refer."""
 
 
 class MonteCarlo(TomlSection):
-    """Propagation of distributions (JCGM 101), until every figure is stable to `digits` of its uncertainty."""
+    """Propagation of distributions (JCGM 101) until all results are stable to `digits` of their uncertainty."""
 
     coverage: Level = 0.95
     """Coverage probability of the intervals."""
     digits: Annotated[int, Field(ge=1, le=2)] = 2
-    """Significant digits of the standard uncertainty that have to be stable."""
+    """Number of significant digits of the standard uncertainty that must be stable."""
     most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
-    """Largest number of trials, at which it stops in any case."""
+    """Largest number of trials."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Root of the random draws."""
 
 
 class Decision(TomlSection):
-    """Decision on conformity (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
+    """Decision on conformity (JCGM 106); `risk` is the permitted probability of a wrong acceptance."""
 
     rule: Literal["guarded", "simple"] = "guarded"
     """Decision rule: limits reduced by a guard band for the risk, or the limits themselves."""
     risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
-    """Probability of a wrong acceptance that is allowed."""
+    """Permitted probability of a wrong acceptance."""
 
 
 class Tasks(TomlSection):
-    """The whole file."""
+    """Contents of a task file."""
 
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
     """Format and version of this file."""
     title: str = ""
     """Free text."""
     source: str
-    """A recording or a scenario, seen from this file."""
+    """Recording or scenario, relative to this file."""
     calibrate: bool = True
-    """Estimate the instrument's parameters too."""
+    """True if the instrument's parameters are estimated too."""
     datum: tuple[str, ...] = ()
     """Targets that define the datum by inner constraints."""
     robust: bool = False
-    """Leave out readings that do not belong."""
+    """True if outlying readings are removed."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
-    """Tables `[[task]]`."""
+    """Tasks, tables `[[task]]`."""
     type_b: tuple[TypeB, ...] = ()
-    """Effects that the readings do not show (type B), tables `[[type_b]]`."""
+    """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
     air: Air | None = None
-    """Uncertainty of the air, where ranges are long, less the effects in `type_b`; default that of the recording."""
+    """Uncertainty of the air for long ranges, without effects in `type_b`; default that of the recording."""
     growth: PartExpansion | None = None
-    """Expansion of the part."""
+    """Thermal expansion of the part."""
     monte_carlo: MonteCarlo = MonteCarlo()
     """Settings of the propagation of distributions."""
     decision: Decision = Decision()
@@ -195,11 +195,11 @@ class Tasks(TomlSection):
 
 
 def load_tasks(path: Path) -> Tasks:
-    """The tasks of a file; raises SetupError."""
+    """Tasks of a file; raises SetupError."""
     return load_settings(path, Tasks, "task file")
 
 
 def tasks_from(data: Mapping[str, Any], file: object) -> Tasks:
-    """Check the tables of a task file; `file` is named in errors (raises SetupError)."""
+    """Validated tables of a task file; `file` is named in errors. Raises SetupError."""
     with as_setup_error():
         return checked(data, Tasks, "task file", file)

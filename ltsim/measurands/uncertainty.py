@@ -1,4 +1,4 @@
-"""The result of `uncertainty`, declared once: Python object, uncertainty.json, its tables, terminal and page."""
+"""Result of `uncertainty`: Python object, uncertainty.json, tables."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
@@ -22,19 +22,22 @@ RESULTS = Table(
         Column("u", "standard uncertainty", form=".9g", shown=".2g"),
         Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
         Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
-        Column("mc_low", "end of its interval", form=".9g", like="U"),
-        Column("mc_high", "as mc_low", form=".9g", like="U"),
-        Column("agrees", "True where both intervals agree", "flag"),
-        *texts(judgement="against the tolerance, empty without one", largest_source="of its variance, with its share"),
+        Column("mc_low", "lower limit of the interval by Monte Carlo", form=".9g", like="U"),
+        Column("mc_high", "upper limit of the interval by Monte Carlo", form=".9g", like="U"),
+        Column("agrees", "True if the interval by propagation and the one by Monte Carlo agree", "flag"),
+        *texts(
+            judgement="accepted, rejected or undecided; empty without a tolerance",
+            largest_source="largest source of uncertainty, and its part of the variance",
+        ),
     ),
 )
 BUDGET = Table(
     "budget.csv",
-    "where the uncertainty comes from",
+    "contributions to the uncertainty",
     (
         *texts(task="name", result="name", source="of uncertainty"),
         *texts(type="A, B, or not included: no reading shows it", unit="of u"),
-        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+        *numbers(".6g", share="fraction of the variance", u="standard uncertainty from this source"),
     ),
 )
 CONFORMITY = Table(
@@ -52,7 +55,7 @@ CONFORMITY = Table(
 )
 HIDDEN = Table(
     "hidden.csv",
-    "errors that no reading shows, and that the uncertainty does not include",
+    "undetectable errors that the uncertainty does not include",
     (
         *texts(task="name", result="name", error="its description"),
         Column("change", "of the result, in its unit", digits=3),
@@ -60,14 +63,14 @@ HIDDEN = Table(
     ),
 )
 NOT_INCLUDED = "not included"
-"""Type of an error in the table of the budget that is not part of the uncertainty."""
+"""Type, in the budget table, of an error that is not part of the uncertainty."""
 Size = Annotated[float, Field(ge=0)]
-MOST_REPORTED = 8
-"""Number of results in the summary lines."""
+MAX_REPORTED = 8
+"""Largest number of results in the summary lines."""
 
 
 class Distribution(Entry):
-    """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
+    """Distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
 
     mean: float
     """Mean of the draws."""
@@ -78,40 +81,40 @@ class Distribution(Entry):
     shortest: tuple[float, float]
     """Shortest interval."""
     stable: bool
-    """True where the figures are stable to the digits requested."""
+    """True if the results are stable to the requested digits."""
     agrees: bool
-    """True where the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
+    """True if the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
 
 
 class BudgetPart(Entry):
-    """Part of an uncertainty budget: type of source, share of the variance, standard uncertainty."""
+    """Source in an uncertainty budget: type, fraction of the variance, standard uncertainty."""
 
     source: str
     """Name of the source."""
     type: Literal["A", "B"]
     """Type of the evaluation by the GUM: A by statistics, B by other means."""
     share: float
-    """Share of the variance of the result, 0 to 1."""
+    """Fraction of the variance of the result, 0 to 1."""
     standard_uncertainty: Size
     """Standard uncertainty in the result's unit."""
 
 
 class HiddenPart(Entry):
-    """Error that no reading shows, and that is not part of the uncertainty."""
+    """Error without effect on the readings, which is not part of the uncertainty."""
 
     source: str
-    """Description of the error, with its size."""
+    """Text of the error, with its size."""
     change: Size
     """Change of the result, in its unit."""
 
 
 class Conformity(Entry):
-    """A result against its tolerance (JCGM 106), limits and guard band in its unit."""
+    """Conformity of a result with its tolerance (JCGM 106); limits and guard band in its unit."""
 
     lower: float | None
-    """Limit of the tolerance."""
+    """Lower limit of the tolerance."""
     upper: float | None
-    """Limit of the tolerance."""
+    """Upper limit of the tolerance."""
     rule: Literal["guarded", "simple"]
     """Decision rule of the task file."""
     guard_band: float
@@ -119,9 +122,11 @@ class Conformity(Entry):
     probability: float
     """Probability that the true value lies within the tolerance."""
     judgement: Literal["accepted", "rejected", "undecided"]
-    """`accepted` within the limits less their guard bands, `rejected` outside them by more, else `undecided`."""
+    """Decision: `accepted` within the limits reduced by the guard bands, `rejected` outside the limits extended by
+    them, else `undecided`.
+    """
     wrong: float
-    """Probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection."""
+    """Probability that the decision is wrong."""
 
 
 class TaskResult(Entry):
@@ -134,9 +139,9 @@ class TaskResult(Entry):
     name: str
     """Name of the result among those of the task."""
     unit: str
-    """Unit of all figures."""
+    """Unit of all values."""
     value: float
-    """The estimate."""
+    """Estimate of the result."""
     standard_uncertainty: Size
     """Standard uncertainty by the GUM's law of propagation."""
     coverage_factor: float
@@ -146,23 +151,23 @@ class TaskResult(Entry):
     monte_carlo: Distribution
     """Distribution by Monte Carlo."""
     curvature: float
-    """Gap between the exact adjustment and its linear form, in standard uncertainties."""
+    """Difference between the exact adjustment and its linear form, in standard uncertainties."""
     budget: tuple[BudgetPart, ...] = Field(min_length=1)
-    """Sources, the largest first."""
+    """Sources of uncertainty, the largest first."""
     hidden: tuple[HiddenPart, ...] = ()
-    """Errors that no reading shows and that matter, the largest first; the uncertainty does not include them."""
+    """Errors without effect on the readings that matter, the largest first; the uncertainty does not include them."""
     conformity: Conformity | None = None
-    """Against its tolerance."""
+    """Conformity with the tolerance; null without one."""
 
     @property
     def words(self) -> str:
-        """The result with its expanded uncertainty."""
+        """Text of the result with its expanded uncertainty."""
         figures = expanded(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
         return f"{self.task}, {self.name}: {figures}"
 
     @property
     def row(self) -> list[Any]:
-        """Row of `RESULTS`."""
+        """Row of the table `RESULTS`."""
         largest, drawn = self.budget[0], self.monte_carlo
         sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
@@ -178,7 +183,7 @@ class TaskResult(Entry):
 
 
 class Uncertainty(ResultFile):
-    """`uncertainty.json`: results of tasks with their uncertainty."""
+    """`uncertainty.json`: the result of `uncertainty`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
@@ -186,7 +191,7 @@ class Uncertainty(ResultFile):
     title: str
     """Free text."""
     source: str
-    """The recording or scenario."""
+    """Name of the recording or scenario."""
     coverage: float
     """Coverage probability of all intervals."""
     trials: int
@@ -194,16 +199,16 @@ class Uncertainty(ResultFile):
     frame: str
     """Reference frame of all coordinates."""
     sigma0: OptionalFloat
-    """Root of chi-square over degrees of freedom of the adjustment that the points come from; null without one."""
+    """Square root of chi-square divided by the degrees of freedom of the adjustment; null for a list of coordinates."""
     results: tuple[TaskResult, ...] = Field(min_length=1)
     """Results, one per number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation of the results, in their order."""
     warnings: tuple[str, ...] = ()
-    """Warnings to heed before the numbers are used."""
+    """Warnings about the validity of the results."""
 
     def _lines(self) -> list[str]:
-        lines = [r.words for r in self.results[:MOST_REPORTED]]
+        lines = [r.words for r in self.results[:MAX_REPORTED]]
         more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
         return [head, *lines, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
@@ -236,7 +241,7 @@ class Uncertainty(ResultFile):
 def conformity(
     value: float, sigma: float, tolerance: Tolerance, decision: Decision, draws: Floats | None = None
 ) -> Conformity:
-    """Judge a result (in the unit of the tolerance) by its distribution: the `draws`, or a normal one.
+    """Conformity of a result (in the unit of the tolerance), from its distribution: the `draws`, or a normal one.
 
     References
     ----------
@@ -269,9 +274,9 @@ def conformity(
 
 
 def compared(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]:
-    """``task, result`` and E_n of every result that both files have in the same unit.
+    """Pairs of ``task, result`` and E_n for every result that both files contain in the same unit.
 
-    E_n compares independent results: two recordings, or two instruments.
+    E_n applies to independent results, such as of two recordings or two instruments.
     """
     others = {(r.task, r.name, r.unit): r for r in second.results}
     both = [(r, others[key]) for r in first.results if (key := (r.task, r.name, r.unit)) in others]
@@ -282,7 +287,10 @@ def compared(first: Uncertainty, second: Uncertainty) -> list[tuple[str, float]]
 
 
 def normalised_error(value: float, expanded: float, other: float, other_expanded: float) -> float:
-    """E_n = difference over the root of the squared expanded uncertainties; |E_n| <= 1 agrees (ISO 13528)."""
+    """Normalised error E_n: difference divided by the root sum of squares of the expanded uncertainties.
+
+    |E_n| <= 1 agrees (ISO 13528).
+    """
     together = float(np.hypot(expanded, other_expanded))
     gap = value - other
     return gap / together if together > 0 else (0.0 if gap == 0 else float(np.copysign(np.inf, gap)))

@@ -24,7 +24,7 @@ def uncertainty(
     *,
     seed: int | None = None,
 ) -> Uncertainty:
-    """Say how well tasks (lengths, angles, features, ...) are known: by propagation and by Monte Carlo, with budgets.
+    """Uncertainty of tasks (lengths, angles, features, ...) by propagation and Monte Carlo, with budgets.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def compare(
     robust: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """Say which points moved between two recordings, and which motion could not have been seen.
+    """Comparison of two epochs: displaced points, and minimal detectable displacements.
 
     Parameters
     ----------
@@ -120,13 +120,13 @@ def compare(
     held = None if stable is None else names(stable)
     if lists and (same_instrument or robust or not calibrate):
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
-        raise ModelError(f"lists of coordinates hold no readings: {asked} say nothing")
+        raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
     if len(lists) == 2:
         return compare_coordinates(*lists, stable=held, free=free, scaled=scaled, level=level)
     if lists:
         raise ModelError("a list of coordinates is compared with another one alone")
     if free:
-        raise ModelError(f"{option('free=True')} is for lists of coordinates: what a recording leaves open is known")
+        raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
 
     def adjusted(recording: Recording) -> Adjustment:
         adjustment = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)
@@ -138,7 +138,7 @@ def compare(
 
 
 def _coordinates_of(source: RecordingSource | Coordinates) -> Coordinates | None:
-    """The list of coordinates itself, read where a path leads to one; None for a recording."""
+    """List of coordinates of a source, read from its path if necessary; None for a recording."""
     if isinstance(source, Coordinates):
         return source
     return (

@@ -1,1 +1,1 @@
-"""The measurement model: physical effects, one small file each, empirical laws, and what predicts a reading."""
+"""Measurement model: physical effects (one module each), empirical laws, and the forward model for readings."""

@@ -1,1 +1,1 @@
-"""Planning: precision and reliability of a layout of stations and reflectors, before anybody carries an instrument."""
+"""Planning: expected precision and reliability of a layout of stations and reflectors before any measurement."""

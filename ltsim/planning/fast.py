@@ -1,11 +1,11 @@
 """Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
 
-Two steps, so that a search pays for geometry once: `NormalBlocks` holds what one set-up contributes, for any
+Two steps are used, so that a search computes geometry only once: `NormalBlocks` holds the contribution of each of any
 number of candidate set-ups; `LayoutScorer.reduce` joins set-ups into layouts and eliminates targets (3 x 3 blocks) and
 poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
-The Jacobian is that of the construction, the other rows are those of the adjustment; `information.py` is the slow
-twin, and a test holds both together.
+The Jacobian is that of the construction, and the other rows are those of the adjustment. `information.py` computes the
+same quantities without blocks; a test compares the two.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.rigid import holds_pose, rigid_motion
+from ltsim.geometry.rigid import determines_pose, rigid_motion
 from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
@@ -27,7 +27,7 @@ from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
 """[m, rad] Internal unit of poses and targets, so that all columns have a similar norm."""
@@ -35,40 +35,43 @@ POSE_SCALE = 1e-5
 
 @dataclass(frozen=True)
 class NormalBlocks:
-    """N set-ups and what each contributes to the normal equations; P = errors of reflectors, instrument and effects."""
+    """Contributions of N set-ups to the normal equations.
+
+    P = number of parameters of reflectors, instrument and effects.
+    """
 
     position: Floats
-    """(N, 3) [m]."""
+    """Positions of the set-ups, (N, 3) [m]."""
     yaw: Floats
-    """(N,) [rad]."""
+    """Yaw of each set-up, (N,) [rad]."""
     visible: Bools
-    """Targets that each measures, (N, T)."""
+    """Flags of the targets that each set-up measures, (N, T)."""
     held: Bools
-    """(N,): whether the targets in sight hold the pose."""
+    """Flags of the set-ups whose visible targets determine the pose, (N,)."""
     tt: Floats
-    """Target with target, (N, T, 3, 3)."""
+    """Normal matrix blocks of each target, (N, T, 3, 3)."""
     tx: Floats
-    """Target with pose and parameters, (N, T, 3, 6 + P)."""
+    """Normal matrix blocks between target and pose with parameters, (N, T, 3, 6 + P)."""
     xx: Floats
-    """Pose and parameters, summed over targets, (N, 6 + P, 6 + P)."""
+    """Normal matrix blocks of pose and parameters, summed over targets, (N, 6 + P, 6 + P)."""
 
     def take(self, which: Ints) -> NormalBlocks:
-        """Subset of the set-ups."""
+        """Selection of the set-ups."""
         return NormalBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @classmethod
     def concatenated(cls, parts: Sequence[NormalBlocks]) -> NormalBlocks:
-        """Several sets of set-ups as one."""
+        """Union of several groups of set-ups."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def with_station(self, slot: int, other: NormalBlocks) -> NormalBlocks:
-        """A layout of these set-ups with another one (N = 1) as station `slot`."""
+        """Layout of these set-ups with another one (N = 1) as station `slot`."""
         stations = np.arange(len(self.position))
         return self.concatenated([self, other]).take(np.where(stations == slot, len(stations), stations))
 
 
 def by_target(errors: IncidenceErrors, target: Ints, targets: int) -> Floats:
-    """(T,): 1 for targets (n,) whose pointings have the errors of a reflector, else 0."""
+    """Weights (T,): 1 for targets among (n,) with the errors of a reflector, else 0."""
     acts = np.zeros(targets)
     np.maximum.at(acts, target, errors.acts)
     return acts
@@ -76,21 +79,24 @@ def by_target(errors: IncidenceErrors, target: Ints, targets: int) -> Floats:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Reduced layouts: B layouts, P parameters."""
+    """Information of B layouts on P parameters after elimination."""
 
     information: Floats
-    """(B, P, P): of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose
-    open.
+    """Information on instrument and effect parameters in units of their prior sigma, (B, P, P); NaN for a layout with
+    an undetermined pose.
     """
     target_rms: Floats
-    """Root mean square point error, datum the mean of all targets; NaN there too, and where not asked for, (B,) [m]."""
+    """Root mean square point error with the mean of all targets as datum, (B,) [m]; NaN for an undetermined pose, and
+    if not requested.
+    """
 
 
 class LayoutScorer:
-    """Layouts of one workshop: fixed targets, gauge, noise and priors; set-ups that change.
+    """Evaluation of layouts of one workshop: targets, gauge, noise and priors are fixed, set-ups vary.
 
-    `survey` has everything but the places of the stations, whose number is that of every layout; parameters are those
-    of `construction`, by default the 16 misalignments, and of `effects` (unit their prior sigma, no prior).
+    `survey` provides everything except the positions of the stations; all layouts have its number of stations;
+    parameters are those of `construction`, by default the 16 misalignments, and of `effects` (unit their prior sigma,
+    no prior).
     """
 
     def __init__(
@@ -126,7 +132,7 @@ class LayoutScorer:
         self._motion = rigid_motion(survey.points) @ self._free
 
     def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
-        """Normal equations of gauge, control, levels and priors, in this class's order and units."""
+        """Normal equations of gauge, control, levels and priors, in the order and units of this class."""
         extra = np.zeros((len(rows), len(self.scale) - len(values)))
         front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
         reduced_rows = np.hstack([*front, rows[:, values] * self.scale[: len(values)], extra])
@@ -137,11 +143,11 @@ class LayoutScorer:
 
     @property
     def stations(self) -> int:
-        """Stations of a layout."""
+        """Number of stations of a layout."""
         return len(self.survey.position)
 
     def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
-        """Sightings of every target on each face from each of N set-ups; `slot` is the station that they represent."""
+        """Sightings of every target on each face from each of N set-ups; `slot` is the station that they replace."""
         survey = self.survey
         axes = np.arange(len(position)), np.arange(len(survey.points)), np.array(survey.faces)
         station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
@@ -167,10 +173,10 @@ class LayoutScorer:
         )
 
     def rows(self, position: Floats, yaw: Floats, slot: Ints, visible: Bools) -> tuple[Floats, Floats]:
-        """Whitened rows of N set-ups: (N, T, r, 3) by the target, (N, T, r, 6 + P) by pose and parameters.
+        """Whitened rows of N set-ups: derivatives (N, T, r, 3) by target, (N, T, r, 6 + P) by pose and parameters.
 
-        They are zero for what is not `visible` (N, T). Effects that count time from the start of the work see the first
-        station too.
+        They are zero for targets that are not `visible` (N, T). For effects that depend on time since the start, the
+        first station is included.
         """
         if self.effects and slot.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
@@ -187,7 +193,7 @@ class LayoutScorer:
         return t, np.concatenate([-t, turned, v], axis=3)
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
+        """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
         by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
         by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
         reflectors = [replace(e, acts=acts[sightings.target]).design(sightings) for e, acts in self._reflectors]
@@ -203,19 +209,22 @@ class LayoutScorer:
     ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
 
-        `slot` (N,) is the station of the layout that each stands for (its time and name, for effects that know them),
-        `visible` (N, T) what it measures; default all.
+        `slot` (N,) is the station that each set-up replaces (time and name matter for some effects); `visible` (N, T)
+        marks the measured targets, default all.
         """
         at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
         visible = np.ones((len(position), len(self.survey.points)), dtype=bool) if visible is None else visible
         t, x = self.rows(position, yaw, at, visible)
         flat = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = holds_pose(self.survey.points, visible, self._vertical[at])
+        held = determines_pose(self.survey.points, visible, self._vertical[at])
         return NormalBlocks(position, yaw, visible, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: NormalBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
-        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout; and target errors."""
+        """Information of B layouts, and target errors on request.
+
+        Each row of `chosen` (B, S) has indices into `blocks`.
+        """
         schur, length, inverse, weights = self.eliminated(blocks, chosen)
         size = len(self.scale) - self._nuisance
         information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
@@ -227,9 +236,9 @@ class LayoutScorer:
         return Reduced(information, rms)
 
     def marginal(self, schur: Floats, length: Floats) -> Floats:
-        """Information of the parameters (B, P, P): all else in normal matrices (B, K, K) is eliminated.
+        """Information (B, P, P) on the parameters after elimination of all other unknowns in normal matrices (B, K, K).
 
-        NaN where these leave a direction open, of columns whose squared lengths (B, K) the design would have.
+        It is NaN for undetermined unknowns; (B, K) are the squared norms of the columns of the design, for that test.
         """
         unit, scale = unit_diagonal(schur, length)
         roots, _ = cholesky_where_determined(unit)
@@ -238,15 +247,15 @@ class LayoutScorer:
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminated(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
+        """Schur complement (B, K, K), squared column norms (B, K) before elimination, and terms of eliminated targets.
 
-        That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest. The
-        complement of a layout that leaves a target open is NaN.
+        The terms are the inverse blocks (B, E, 3, 3) of the targets, and their products with the coupling blocks. The
+        complement of a layout with an undetermined target is NaN.
         """
         reduced, tt, tk = self._normal(blocks, chosen)
         if not self._use.all():  # a whole sight places its target
             spread = np.linalg.eigvalsh(tt)
-            open_ = spread[..., 0] <= POINT * spread[..., 2]
+            open_ = spread[..., 0] <= POINT_RANK_TOLERANCE * spread[..., 2]
             tt = tt + open_[..., None, None] * np.eye(3)
             reduced[open_.any(axis=1)] = np.nan
         inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
@@ -257,7 +266,7 @@ class LayoutScorer:
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverse, weights
 
     def _normal(self, blocks: NormalBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
-        """Kept block (B, K, K), mesh targets (B, E, 3, 3) and what joins them (B, E, 3, K)."""
+        """Reduced block (B, K, K), blocks of the mesh targets (B, E, 3, 3), and coupling blocks (B, E, 3, K)."""
         layouts, stations = chosen.shape
         params, gauge = len(self.scale), len(self._gauge)
         size = 6 * stations + 3 * gauge + params
@@ -290,9 +299,9 @@ class LayoutScorer:
         return reduced, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
 
     def _datum(self, position: Floats) -> Floats:
-        """Rows (B, f, 6 a) that hold stations at `position` (B, S, 3) against the free rigid motions.
+        """Datum rows (B, f, 6 a) that fix the free rigid motions of stations at `position` (B, S, 3).
 
-        The first of them whole; the places of all where ranges alone leave their turns out.
+        They fix the pose of the first station, or for ranges alone the positions of all.
         """
         motion = self._free / np.linalg.norm(self._free, axis=0)
         anchors = position[:, :1] if self._anchors_turn else position
@@ -302,23 +311,22 @@ class LayoutScorer:
         return (rows / DATUM_SIGMA * POSE_SCALE).reshape(len(rows), motion.shape[1], -1)
 
     def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
-        """Point error (B,) [m], root mean square, weighted as the survey says; parameters as of `target_variance`."""
+        """Root mean square point error (B,) [m], weighted as in the survey; parameters as of `target_variance`."""
         variance = self.target_variance(schur, inverse, weights, mesh)
         weight = self._weight[self.asked(mesh)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def asked(self, mesh: Ints) -> Ints:
-        """Targets of the survey that `target_variance` tells of, (1 or B, E + gauge)."""
+        """Indices of the targets in the survey whose variance `target_variance` returns, (1 or B, E + gauge)."""
         at = np.atleast_2d(mesh)
         return np.concatenate([at, np.broadcast_to(self._gauge, (len(at), len(self._gauge)))], axis=1)
 
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
-        """Squared point error (B, E + gauge) [m^2] of targets with inner constraints over them.
+        """Squared point error (B, E + gauge) [m^2] of targets, with inner constraints over them.
 
-        Effects are not estimated here, only the instrument's parameters and the reflectors' errors. `schur` (B, K, K),
-        `inverse` (B, E, 3, 3) and `weights` (B, E, 3, K) are those of `eliminated`, of the targets that are asked
-        about: `mesh` (E,) or (B, E).
-        Those of the gauge are asked about as well.
+        Only the instrument's parameters and the reflectors' errors are estimated here, not the effects. `schur` (B, K,
+        K), `inverse` (B, E, 3, 3) and `weights` (B, E, 3, K) are results of `eliminated` for the targets `mesh`, (E,)
+        or (B, E). The targets of the gauge are always included.
         """
         estimated = self._nuisance + len(self.prior_sigma)
         layouts, size = len(schur), schur.shape[1] - (len(self.scale) - estimated)

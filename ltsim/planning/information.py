@@ -1,11 +1,11 @@
-"""Expected precision of a layout, without data: standard deviations, undetermined combinations, the paper's criteria.
+"""Expected precision of a layout without data: standard deviations, undetermined combinations, the paper's criteria.
 
 The calibrator's own problem is linearised at the nominal state, a perfect instrument at the planned places; a
 covariance does not depend on readings.
 
-How much calibration is expected to help (eq. 11, 12) is linear in the errors: noise, known lengths, the instrument's
-parameters and what the model leaves out. Each error's way into the criteria, before and after a network calibration, is
-a matrix; variances add over groups of errors, so that one layout can be asked about any sizes of them at once.
+How much calibration is expected to help (eq. 11, 12) is linear in the errors: noise, reference lengths, instrument
+parameters and unmodelled effects. A matrix describes the influence of each error on the criteria before and after a
+network calibration. Variances add over groups of errors, so that results for any sizes of these are obtained at once.
 """
 
 from __future__ import annotations
@@ -31,83 +31,92 @@ from ltsim.planning.survey import Survey
 
 @dataclass(frozen=True)
 class LayoutInformation:
-    """Information of a survey that has not been made."""
+    """Expected precision of a planned survey."""
 
     survey: Survey
     adjustment: Adjustment
-    """Adjustment at the nominal state; everything that an adjustment knows of precision holds here too."""
+    """Adjustment at the nominal state; its precision is that of the planned survey."""
 
     @classmethod
     def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
-        """The information of a survey, by default for the 16 misalignment parameters; NetworkError for an open one."""
+        """Expected precision of a survey, by default with the 16 misalignment parameters.
+
+        Raises NetworkError for undetermined poses or targets.
+        """
         built = construction or misalignment()
         if not survey.visible.size:
             raise NetworkError("no station sees a target")
         unseen = np.flatnonzero(~survey.visible.any(axis=0))
         if len(unseen):
-            raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")
+            raise NetworkError(f"target {survey.target_names[unseen[0]]} is not visible from any station")
         adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
         if adjustment.undetermined_targets:
-            raise NetworkError(f"the ranges from its stations do not place target {adjustment.undetermined_targets[0]}")
+            raise NetworkError(f"the ranges do not determine target {adjustment.undetermined_targets[0]}")
         return cls(survey, adjustment)
 
     @property
     def construction(self) -> Construction:
-        """The construction whose parameters are meant."""
+        """Construction whose parameters are estimated."""
         return self.adjustment.construction
 
     @property
     def prior_sigma(self) -> Floats:
-        """(p,) of the first instrument [SI]."""
+        """Prior standard deviations of the first instrument's parameters, (p,) [SI]."""
         return self.adjustment.problem.prior.sigma[0]
 
     @property
     def instrument_covariance(self) -> Floats:
-        """(p, p) [SI], priors included."""
+        """Covariance of the instrument parameters, priors included, (p, p) [SI]."""
         return self.adjustment.instrument_covariance
 
     @property
     def scaled_covariance(self) -> Floats:
-        """(p, p) in units of the prior sigmas: the identity before any reading."""
+        """Covariance of the instrument parameters in units of the prior sigmas, (p, p).
+
+        Without readings the identity.
+        """
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 
     @cached_property
     def instrument_sigma(self) -> Floats:
-        """(p,) standard deviation of each instrument parameter [SI]."""
+        """Standard deviation of each instrument parameter, (p,) [SI]."""
         return np.sqrt(np.diag(self.instrument_covariance))
 
     @cached_property
     def undetermined(self) -> list[Direction]:
-        """Combinations with a gain under one half, the least known first."""
+        """Undetermined combinations of parameters (gain below one half), the least determined first."""
         return undetermined(self.instrument_covariance, self.prior_sigma)
 
     def cures(self) -> list[str]:
-        """A sentence for each undetermined combination: what would determine it."""
+        """Sentences on the measurement that would determine each undetermined combination."""
         return determining(self.adjustment, self.construction, [self.undetermined])[0]
 
     @cached_property
     def _inner(self) -> Adjustment:
-        """The adjustment with inner constraints over all targets."""
+        """Adjustment with inner constraints over all targets."""
         return self.adjustment.in_inner_datum()
 
     @property
     def pose_covariance(self) -> Floats:
-        """Translation [m] and rotation [rad] of each station, as `target_covariance`, (S, 6, 6)."""
+        """Covariance of translation [m] and rotation [rad] of each station, (S, 6, 6), datum as `target_covariance`."""
         return self._inner.pose_covariance + air_covariance(self._inner, self._inner.problem.unknowns.pose)
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints); with the air."""
+        """Covariance of each target, (T, 3, 3) [m^2], with the air.
+
+        The datum is the mean of all targets (inner constraints).
+        """
         return self._inner.target_covariance + air_covariance(self._inner, self._inner.problem.unknowns.target)
 
     @cached_property
     def target_sigma(self) -> Floats:
-        """Root of the trace of each target's covariance, its point error, (T,) [m]."""
+        """Point error of each target, the square root of the trace of its covariance, (T,) [m]."""
         return np.sqrt(np.einsum("tii->t", self.target_covariance))
 
     @property
     def target_rms(self) -> float:
-        """[m] Root mean square point error over all targets, weighted as the survey says."""
+        """Root mean square point error [m] over all targets, weighted as in the survey."""
         return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
 
 
@@ -123,7 +132,7 @@ RANGE_NOISE, ANGLE_NOISE, LENGTHS, REFLECTORS = "range noise", "angle noise", "g
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Expected mean of both criteria [m] before and after calibration, one value a request (k,)."""
+    """Expected mean of both criteria [m] before and after calibration, one value per request (k,)."""
 
     distance_before: Floats
     distance_after: Floats
@@ -132,12 +141,12 @@ class ExpectedErrors:
 
     @property
     def distance_improvement(self) -> Floats:
-        """Percent."""
+        """Expected improvement of the distance criterion [%]."""
         return 100.0 * (1.0 - self.distance_after / self.distance_before)
 
     @property
     def coordinate_improvement(self) -> Floats:
-        """Percent."""
+        """Expected improvement of the coordinate criterion [%]."""
         return 100.0 * (1.0 - self.coordinate_after / self.coordinate_before)
 
 
@@ -146,17 +155,17 @@ class Predictor:
     """Contribution of each group of errors, at its nominal size, to the paper's criteria."""
 
     groups: tuple[str, ...]
-    """Noise, gauge lengths, instrument parameters by kind, and the effects that were left out."""
+    """Names of the groups: noise, gauge lengths, instrument parameters by kind, and the unmodelled effects."""
     distance: Floats
-    """Variance of each station's deviation of each distance, before and after, (2, G, rows) [m^2]."""
+    """Variance of each station's deviation of each distance, before and after calibration, (2, G, rows) [m^2]."""
     coordinate: Floats
-    """Covariance of the gap between two stations' places of each target, (2, G, rows, 3, 3) [m^2]."""
+    """Covariance of the difference between the positions of each target from two stations, (2, G, rows, 3, 3) [m^2]."""
 
     @classmethod
     def of(cls, information: LayoutInformation, unmodelled: Sequence[Effect] = ()) -> Predictor:
-        """The predictor of a layout whose targets are all seen from all stations.
+        """Predictor of a layout in which all stations see all targets.
 
-        Effects in `left_out` act and the calibration does not know them; each is a group, at its prior sigma.
+        The effects in `unmodelled` act on the readings but are not estimated; each is a group, with its prior sigma.
         """
         ways, group = _ways(information, unmodelled)
         names = tuple(dict.fromkeys(group))
@@ -173,7 +182,7 @@ class Predictor:
         return cls(names, distance, coordinate)
 
     def expected(self, sizes: Mapping[str, Floats | float] | None = None) -> ExpectedErrors:
-        """The criteria when groups have `sizes` times their nominal size (default 1), each (k,) or a number."""
+        """Criteria for groups of errors of `sizes` times their nominal size (default 1), each (k,) or a number."""
         wanted = dict(sizes or {})
         for name in wanted:
             if name not in self.groups:
@@ -186,7 +195,7 @@ class Predictor:
 
 
 def _mean_gap(square: Floats, spread: Floats) -> Floats:
-    """Mean over rows of the expected length (k,), a few requests at a time."""
+    """Mean over rows of the expected length (k,), computed for a few requests at a time."""
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
         for part in np.array_split(square, max(1, len(square) // 64))
@@ -195,7 +204,7 @@ def _mean_gap(square: Floats, spread: Floats) -> Floats:
 
 
 def expected_length(variances: Floats, nodes: int = 48) -> Floats:
-    """Expected length (...) of a normal vector with variances (..., 3) along its axes, to about 1e-6.
+    """Expected length (...) of a normal vector with variances (..., 3) along its axes, accurate to about 1e-6.
 
     E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of
     (1 + 2 t variance)^(-1/2); substituted t = (x / (1 - x))^2 over the total variance, Gauss-Legendre in x.
@@ -213,7 +222,10 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
 
 
 def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple[tuple[Floats, Floats], list[str]]:
-    """Displacement of each station's targets (3 S T, errors) per unit error, before and after; each error's group."""
+    """Displacement (3 S T, errors) of each station's targets per unit error, before and after calibration.
+
+    Also returned is the group of each error.
+    """
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
@@ -251,7 +263,7 @@ def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple
 
 
 def _means(information: LayoutInformation) -> Floats:
-    """Means over faces and repeats of each station's pointings at each target, (S T, n)."""
+    """Matrix (S T, n) of the means over faces and repeats of each station's pointings to each target."""
     recording = information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
     mean = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
@@ -260,7 +272,7 @@ def _means(information: LayoutInformation) -> Floats:
 
 
 def _distances(information: LayoutInformation) -> Floats:
-    """Each station's deviation of each distance from its mean over stations, by displacements (rows, 3 S T)."""
+    """Matrix (rows, 3 S T) from displacements to deviations of each station's distances from the mean over stations."""
     state = information.adjustment.state
     stations, targets = len(state.position), len(state.points)
     first, second = np.triu_indices(targets, k=1)
@@ -277,7 +289,10 @@ def _distances(information: LayoutInformation) -> Floats:
 
 
 def _coordinates(information: LayoutInformation) -> Floats:
-    """Gap between two stations' places of each target after rigid alignment (rows, 3, 3 S T)."""
+    """Matrix (rows, 3, 3 S T) from displacements to differences of a target's positions from two stations.
+
+    The stations are aligned rigidly first.
+    """
     state = information.adjustment.state
     stations, targets = len(state.position), len(state.points)
     motion = rigid_motion(state.points, state.points.mean(axis=0))

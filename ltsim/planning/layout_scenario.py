@@ -1,4 +1,4 @@
-"""The scenario of a layout: what `ltsim simulate` takes, with its CAD files, in the folder of a plan."""
+"""Scenario of a planned layout, for `ltsim simulate`, with its CAD files in the folder of a plan."""
 
 from pathlib import Path
 
@@ -11,18 +11,18 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 
 SCENARIO = "scenario.toml"
-"""The hall with the plan's stations, in the plan's folder."""
+"""Name of the scenario file with the plan's stations, in the plan's folder."""
 PLAN = "plan.toml"
-"""Plan file that the board saves in the folder of a plan."""
+"""Name of the plan file that the interactive planner saves in the folder of a plan."""
 
 
 def planned_scenario(plan: PlannedNetwork) -> Scenario:
-    """The scenario with the plan's stations, reflectors and way of working: what `ltsim simulate` takes."""
+    """Scenario with the plan's stations, reflectors and measuring procedure, for `ltsim simulate`."""
     return with_layout(plan.scenario, plan.chosen.survey, plan.file.title or plan.scenario.title)
 
 
 def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
-    """A scenario with the stations, reflectors and way of working of a survey."""
+    """Scenario with the stations, reflectors and measuring procedure of a survey."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
@@ -49,7 +49,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
 
 
 def with_cad_copied(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """The scenario with its CAD files named from its own folder, and these files by name; raises SetupError."""
+    """Scenario whose CAD files are in its own folder, and the contents of these files by name; raises SetupError."""
     names: dict[str, str] = {}
     contents: dict[str, bytes] = {}
     for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):

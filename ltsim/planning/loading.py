@@ -1,4 +1,4 @@
-"""Plan files read: their lists of points, the scenario that they name or the hall that they describe themselves."""
+"""Reader of plan files, with their lists of points and the scenario or hall that they name or contain."""
 
 import difflib
 import math
@@ -14,12 +14,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.site import FEWEST, Placement
+from ltsim.planning.site import MIN_TARGETS, Placement
 from ltsim.planning.spec import WALLS, PlanFile, Point
 from ltsim.recordings.coordinates import Points, read_points as read_coordinates
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.settings import checked, read_toml
-from ltsim.scene.floor import grid_step, ground_of, may_stand, over
+from ltsim.scene.floor import areas_and_keep_outs, grid_over, grid_step, may_stand
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
@@ -27,24 +27,24 @@ from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
 
 TABLES = ("workshop", "instrument", "smr", "work")
-"""Tables of a scenario that a plan file may hold itself."""
+"""Tables of a scenario that a plan file may contain."""
 USUAL_HEIGHT_MM = (1400.0, 1800.0)
-"""Centre of the head on a usual stand."""
-SAME_MM = 0.1
-"""Within which a point of a list is the scenario's target of its name."""
-BEGIN = 4
-"""Stations to begin from, where the plan does not say how many."""
+"""Lowest and highest centre of the head [mm] on a usual stand."""
+SAME_POINT_MM = 0.1
+"""Distance [mm] within which a point of a list equals the scenario's target of the same name."""
+INITIAL_STATIONS = 4
+"""Number of initial stations if the plan does not give one."""
 BUILT_IN = files("ltsim.planning") / "builtin"
 
 
 def plan_names() -> tuple[str, ...]:
-    """Built-in plan files, then scenarios, which are plans with all settings at their defaults."""
+    """Names of the built-in plan files, and of the scenarios, which are plans with default settings."""
     plans = sorted(f.name.removesuffix(".toml") for f in BUILT_IN.iterdir() if f.name.endswith(".toml"))
     return (*plans, *(name for name in builtin_names() if name not in plans))
 
 
 def plan_text(name: str) -> str:
-    """The commented file of a built-in plan, to print and edit."""
+    """Commented file of a built-in plan, as a template."""
     path = BUILT_IN / f"{name}.toml"
     if not path.is_file():
         near = _near(name, plan_names())
@@ -53,7 +53,7 @@ def plan_text(name: str) -> str:
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan file, a built-in plan, or a scenario taken as a plan; with its scenario (raises SetupError)."""
+    """Plan file (or built-in plan, or scenario used as a plan) and its scenario; raises SetupError."""
     name = str(name_or_path)
     built = BUILT_IN / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)
@@ -77,12 +77,12 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
 
 
 def _near(name: str, candidates: Sequence[str]) -> str:
-    """The names that are most like one that does not exist."""
+    """Names that are most similar to an unknown one."""
     return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
 
 
 def _given(made: PlanFile, path: Path) -> dict[str, Any]:
-    """Values that the file leaves open: the points of its list, and defaults that follow from other keys."""
+    """Values that the file does not give: the points of its list, and defaults that depend on other keys."""
     points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
     changes: dict[str, Any] = {"points": points}
     if made.workshop is not None and made.floor.height_mm is None:
@@ -109,7 +109,7 @@ def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
 
 
 def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
-    """Names that exist, and new ones that do not."""
+    """Check that names refer to existing objects and that new names are unused; raises SetupError."""
     groups = sorted({point.group for point in made.listed if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
@@ -132,29 +132,32 @@ def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
 
 def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
     if made.goal.tolerances and not made.listed:
-        raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
+        raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
     given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]
     if given and not made.chooses:
         raise SetupError(
-            f"{file}: {' and '.join(given)} without budget.hours chooses nothing; give the hours that the work may "
-            "take, or say how it is done as [work] faces and repeats of the scenario"
+            f"{file}: {' and '.join(given)} without budget.hours has no effect; give the hours for the work, "
+            "or fix faces and repeats in the table [work] of the scenario"
         )
     if made.goal.diagnosis and not made.goal.effects:
-        raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
+        raise SetupError(f"{file}: goal.diagnosis has a weight, but goal.effects names no effect")
     count, min_stations = made.stations.count or len(scenario.stations), made.stations.min_stations_per_target
     if isinstance(min_stations, int) and min_stations > count:
         raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
 
 
 def read_points(path: Path) -> tuple[Point, ...]:
-    """The points of a list of coordinates in any dialect, with the keys of a point as further columns; SetupError."""
+    """Points of a list of coordinates in any format, with the keys of a point as additional columns.
+
+    Raises SetupError.
+    """
     columns = list(Point.model_fields)[4:]
     with as_setup_error():
         table = read_coordinates(path)
         for name in table.further:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
-                raise RecordError(f"has the column '{shown(name)}' too many; {wanted}", file=path)
+                raise RecordError(f"has the unknown column '{shown(name)}'; {wanted}", file=path)
         return tuple(_point(table, i, path) for i in range(len(table.names)))
 
 
@@ -187,7 +190,7 @@ def _point(table: Points, i: int, path: Path) -> Point:
 
 
 def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
-    """The scenario of the tables of a plan file, as the file gives them, and its points; raises SetupError."""
+    """Scenario from the tables and points of a plan file; raises SetupError."""
     table: dict[str, Any] = {"format": FORMAT, "title": made.title}
     table |= {name: data[name] for name in TABLES if name in data}
     table["work"] = {"order": "as-listed", **data.get("work", {})}
@@ -196,8 +199,8 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = scenario_from(table, file)
     _check_size(points, scenario, file)
-    count = made.stations.count or BEGIN
-    places = _begin(made, scenario, count)
+    count = made.stations.count or INITIAL_STATIONS
+    places = _initial_places(made, scenario, count)
     stations = {
         f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)
@@ -206,22 +209,25 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
 
 
 def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> None:
-    """Raise SetupError where all points lie in a thousandth of the room: 7.000 may mean seven thousand, or metres."""
+    """Check that points extend over more than a thousandth of the room (7.000 may mean seven thousand).
+
+    Raises SetupError.
+    """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
         raise SetupError(
             f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the room; if their numbers "
-            "are metres, head the columns x_m, y_m, z_m; if their points stand for thousands, take these out"
+            "are metres, name the columns x_m, y_m, z_m; if their points separate thousands, remove these"
         )
 
 
 def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> Scenario:
-    """A scenario with further targets; points that are its targets already stay what they are."""
+    """Scenario with additional targets; points that are its targets already do not change."""
     _check_size(points, scenario, file)
     for point in points:
         there = scenario.targets.get(point.name)
         place = np.array([point.x_mm, point.y_mm, point.z_mm])
-        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_MM:
+        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_POINT_MM:
             continue
         if point.name in scenario.target_names:
             raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
@@ -230,24 +236,22 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
     return scenario.model_copy(update={"targets": {**existing, **added}})
 
 
-def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
-    """Places (count, 3) [m] one after the other where they see most of what few others see."""
+def _initial_places(made: PlanFile, scenario: Scenario, count: int) -> Floats:
+    """Initial places (count, 3) [m], one after the other, at which most targets with few sights are visible."""
     heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
-    areas, keep_outs = ground_of(made.floor, scenario.workshop.size_mm, heights)
+    areas, keep_outs = areas_and_keep_outs(made.floor, scenario.workshop.size_mm, heights)
     obstacles, points = obstacles_of(scenario), planned(scenario).points
-    grid = np.concatenate([over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
+    grid = np.concatenate([grid_over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
     grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
     if not len(grid):
-        raise SetupError(
-            "the floor has no place where a tripod may stand; widen it, move obstacles, or give a smaller grid_mm"
-        )
+        raise SetupError("the floor has no place for a tripod; enlarge it, move obstacles, or give a smaller grid_mm")
     visible = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
-    useful = visible.sum(axis=1) >= FEWEST
+    useful = visible.sum(axis=1) >= MIN_TARGETS
     if not useful.any():
-        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+        raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
     placement = Placement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
     chosen = placement.stations(count, 1)
     if len(chosen) < count:
-        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or widen it")
+        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or enlarge it")
     return placement.position[chosen]

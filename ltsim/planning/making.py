@@ -1,4 +1,4 @@
-"""Searches of a plan file, and the choice of the plan among their layouts."""
+"""Searches of a plan file, and selection of the plan from their layouts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,14 +20,16 @@ from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
-MOST_SETUPS = 200_000
-"""Set-ups of a grid that one search holds in memory."""
-SEARCHING = 0.8
-"""Share of the work that is the search."""
-FEWEST = 2
-"""Stations of a network."""
-LITTLE = 0.95
-"""Factor by which a further station should reduce the largest error over its tolerance; else the search stops."""
+MAX_SETUPS = 200_000
+"""Largest number of set-ups of a grid that one search holds in memory."""
+SEARCH_SHARE = 0.8
+"""Fraction of the progress bar for the search."""
+MIN_STATIONS = 2
+"""Smallest number of stations of a network."""
+MAX_IMPROVEMENT_FACTOR = 0.95
+"""Largest factor on the ratio of error to tolerance by which an additional station must reduce it; otherwise the search
+stops.
+"""
 OPEN = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
@@ -37,7 +39,7 @@ STOPPED = "the search was stopped before it found a layout; let it run longer"
 
 @dataclass(frozen=True)
 class Follower:
-    """Callbacks for the progress of making a plan."""
+    """Callbacks for the progress of a search."""
 
     progress: Progress = quiet
     say: Callable[[str], None] = quiet
@@ -47,10 +49,10 @@ class Follower:
 
 
 def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Follower | None = None) -> PlannedNetwork:
-    """Search and explain; the same file gives the same plan whatever the number of jobs.
+    """Planned network of a search; it is equal for any number of processes.
 
-    Ctrl-C ends the search: the plan is then that of the best layout so far, and says so. SetupError where no layout
-    keeps the plan's rules.
+    Ctrl-C ends the search with the best layout so far, which the result states. Raises SetupError if no layout meets
+    the rules of the plan.
     """
     _check_size(file, scenario)
     heard = follower or Follower()
@@ -59,9 +61,9 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     best = search.fewest() if file.searches_count else search.at_count()
     if not np.isfinite(best.value):
         raise SetupError(OPEN)
-    heard.progress("judging tolerances and changes", SEARCHING)
+    heard.progress("check of tolerances and changes", SEARCH_SHARE)
     made = judge(search.file, scenario, best.survey)
-    heard.progress("judging tolerances and changes", 1.0)
+    heard.progress("check of tolerances and changes", 1.0)
     values = search.layouts.get((len(best.survey.position), len(best.survey.faces)), [])
     return replace(
         made,
@@ -74,7 +76,7 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
 
 @dataclass
 class _Search:
-    """The layouts for each way of working, and which of them is the plan."""
+    """State of the planning: layouts for each measuring procedure, and selection of the plan."""
 
     problem: PlanningProblem
     jobs: int
@@ -89,11 +91,11 @@ class _Search:
 
     @property
     def ways(self) -> tuple[list[int], list[int]]:
-        """Numbers of faces and of rounds to choose from."""
+        """Numbers of faces and of rounds that may be chosen."""
         return ways(self.file, self.problem.scenario)
 
     def _gather(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> Layouts:
-        """Layouts of the searches; the follower receives the best so far."""
+        """Layouts of the searches; the best so far is passed to the follower."""
         goal = self.file.goal
 
         def keep(survey: Survey, value: float) -> None:
@@ -103,7 +105,7 @@ class _Search:
             self.heard.keep(survey)
 
         def progress(done: float) -> None:
-            self.heard.progress("searching layouts", SEARCHING * share(done))
+            self.heard.progress("searching layouts", SEARCH_SHARE * share(done))
 
         made, stopped = gathered(self.problem, tasks, self.jobs, progress, keep)
         self.layouts |= made
@@ -111,7 +113,7 @@ class _Search:
         return made
 
     def at_count(self) -> TradeoffPoint:
-        """The best layout for a given number of stations, or for the working hours of the budget."""
+        """Best layout for a given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.file.stations.count or len(scenario.stations), scenario.work
         site = site_of(self.file, scenario, stations=count, faces=work.faces)
@@ -145,9 +147,9 @@ class _Search:
         return min(paid, key=lambda o: o.value)
 
     def fewest(self) -> TradeoffPoint:
-        """Layout with the fewest stations that meets the tolerances, in the quickest way of working that does.
+        """Layout with the fewest stations that meets the tolerances, with the fastest measuring procedure for it.
 
-        Where none meets them, the closest one.
+        If none meets them, it is the closest one.
         """
         demands, scenario = Tolerances.of(self.file), self.problem.scenario
         alone = demands.robust == "no"
@@ -156,13 +158,17 @@ class _Search:
             self.problem = replace(self.problem, file=self.file.with_min_stations(least))
         file, faces = self.file, self.ways[0]
         min_stations = file.stations.min_stations_per_target
-        first = max(FEWEST if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations)
+        first = max(
+            MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
+        )
         counts = range(first, max(first, file.stations.max_count) + 1)
         placement = check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
         judgements: list[tuple[float, TradeoffPoint]] = []
         k = 0
         for n in counts:
-            if n < counts[-1] and (lacking := _lacking(self.problem.site(SearchTask(n, faces[-1], 0)), placement)):
+            if n < counts[-1] and (
+                lacking := _unseen_by_all_layouts(self.problem.site(SearchTask(n, faces[-1], 0)), placement)
+            ):
                 self.tried.append(StationCountResult(n, None, False, lacking))
                 continue
             tasks = [SearchTask(n, f, start) for f in faces for start in range(file.search.starts)]
@@ -188,7 +194,7 @@ class _Search:
     def _nearest(
         self, layouts: list[tuple[float, int, Survey]], demands: Tolerances
     ) -> list[tuple[float, int, Survey]]:
-        """Layout of several starts that comes closest to the tolerances."""
+        """Layout, among those of several starts, that comes closest to the tolerances."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -199,9 +205,9 @@ class _Search:
         ]
 
     def _levels_off(self) -> bool:
-        """True where the last two further stations reduced the largest error by less than `LITTLE` each."""
+        """True if neither of the last two additional stations reduced the largest error by `MAX_IMPROVEMENT_FACTOR`."""
         ratios = [outcome.ratio if outcome.ratio is not None else np.inf for outcome in self.tried]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > LITTLE**2 * ratios[-3]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_IMPROVEMENT_FACTOR**2 * ratios[-3]
 
     def _no_layout_message(self, counts: range) -> str:
         hours = self.file.budget.hours
@@ -215,10 +221,10 @@ class _Search:
             search_from_start(self.problem, SearchTask(counts[-1], self.ways[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.max_count"
-        return "the search found no layout; widen the floor or give more stations.max_count"
+        return "the search found no layout; enlarge the floor or give more stations.max_count"
 
     def options(self, layouts: Layouts) -> tuple[TradeoffPoint, ...]:
-        """The best layout of every way of working, with each number of repeats; cheapest first."""
+        """Best layout of every measuring procedure and number of repeats, in the order of cost."""
         made = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
@@ -234,8 +240,8 @@ class _Search:
         return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
 
 
-def _lacking(site: SearchSpace, placement: Placement) -> str:
-    """Points that no layout on the grid, nor the present one, has in sight, in words; empty for none."""
+def _unseen_by_all_layouts(site: SearchSpace, placement: Placement) -> str:
+    """Text of the points that neither any layout on the grid nor the present one sees; empty for none."""
     position = site.survey.position
     if site.feasible(position[None], site.visible(position)[None])[0]:
         return ""
@@ -243,7 +249,7 @@ def _lacking(site: SearchSpace, placement: Placement) -> str:
 
 
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
-    """Raise SetupError for a grid of set-ups that exceeds the memory."""
+    """Check that the grid of set-ups fits into memory; raises SetupError."""
     step = file.search.grid_mm
     if step is None:
         return
@@ -251,17 +257,17 @@ def _check_size(file: PlanFile, scenario: Scenario) -> None:
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
     sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
     count = float(np.prod(1.0 + sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
-    if count > MOST_SETUPS:
+    if count > MAX_SETUPS:
         raise SetupError(
             f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {count:.2g} "
-            f"set-ups, the most is {MOST_SETUPS}; give a larger grid_mm or a smaller floor"
+            f"set-ups, the limit is {MAX_SETUPS}; give a larger grid_mm or a smaller floor"
         )
 
 
 def most_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]:
-    """The largest number of stations that some layout has in sight of every reflector; the reflector that limits it.
+    """Largest number of stations that can see every reflector in some layout, and the limiting reflector.
 
-    A lower bound by the greedy placement, which is the truth where some place on the floor sees everything.
+    It is a lower bound from greedy placement, and exact if one place on the floor sees everything.
     """
     placement, names = site.placement(step, heights), site.survey.target_names
     limiting = names[int(np.argmin(placement.visible.mean(axis=0)))]
@@ -271,9 +277,9 @@ def most_sights(site: SearchSpace, step: float, heights: int) -> tuple[int, str]
 
 
 def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
-    """Plan file with a `stations.min_stations_per_target` that some layout meets.
+    """Plan file with a value of `stations.min_stations_per_target` that some layout meets.
 
-    A number that the file states is not lowered: SetupError reports the largest possible one.
+    A given value is not reduced; instead SetupError reports the largest possible value.
     """
     settings, count = file.search, len(site.survey.position)
     step = grid_step(site.areas, settings.grid_mm)
@@ -282,7 +288,7 @@ def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         return file
 
     def refused(least: int) -> SetupError | None:
-        """Error of the search for an initial layout; None where there is one."""
+        """Error of the search for an initial layout; None if there is a layout."""
         searcher = LayoutSearcher(site.replace(min_sights=least), step=step, yaws=1, heights=settings.heights)
         try:
             searcher.random_layout(stream(settings.seed, "plan", "sights"))
@@ -299,7 +305,7 @@ def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         return file
     if not reachable:
         raise problem
-    cure = "take a station out of stations.fixed" if len(site.fixed) else "widen the floor"
+    cure = "remove a station from stations.fixed" if len(site.fixed) else "enlarge the floor"
     raise SetupError(
         f"stations.min_stations_per_target requires {site.min_sights} of {count} stations to see every reflector, but "
         f"at most {reachable} can, and {limiting} is visible from the fewest places: set "
@@ -308,7 +314,7 @@ def with_reachable_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
 
 
 def check_in_sight(site: SearchSpace, file: PlanFile) -> Placement:
-    """Candidate places of stations; SetupError, with their names, where points are in sight from no place."""
+    """Candidate places of stations; raises SetupError with the names of points that no place sees."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
     if not placement.visible.any(axis=0).all():
         raise SetupError(site.out_of_sight(np.flatnonzero(~placement.visible.any(axis=0))))

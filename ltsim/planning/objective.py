@@ -1,10 +1,9 @@
 """Objective of a layout: one number, smaller is better.
 
 The criteria are standard deviations of one covariance or of many at once, (..., p, p) in units of the prior sigmas, so
-that micrometres and microradians can be averaged; one means that the readings told nothing. The letters of the
-literature are ordered alike: a D-optimal design (largest determinant of the information) has the smallest value here,
-and so on. The A criterion is that of the covariance; the trace of the information matrix is another thing, and no
-measure of precision.
+that micrometres and microradians can be averaged; one means that the readings contain no information. The criteria are
+ordered as in the literature: a D-optimal design (largest determinant of the information) has the smallest value. The A
+criterion is the trace of the covariance and not of the information matrix, which is no measure of precision.
 
 References
 ----------
@@ -25,8 +24,8 @@ from ltsim.planning.fast import Reduced
 
 CriterionName = Literal["D", "A", "E"]
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
-LEAST_IMPROVEMENT = 1e-4
-"""Relative improvement under which a sweep of exchanges counts as none."""
+MIN_IMPROVEMENT = 1e-4
+"""Relative improvement below which a sweep of exchanges counts as unsuccessful."""
 
 
 def d_criterion(covariance: Floats) -> Floats:
@@ -57,7 +56,7 @@ CRITERIA: dict[CriterionName, Callable[[Floats], Floats]] = {
 
 @dataclass(frozen=True)
 class Objective:
-    """A weighted geometric mean of up to three qualities."""
+    """Objective as a weighted geometric mean of up to three qualities."""
 
     weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT: 1.0})
     """Weights of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error
@@ -72,11 +71,11 @@ class Objective:
 
     @property
     def wants_targets(self) -> bool:
-        """Targets' point errors are needed."""
+        """True if the objective needs point errors of targets."""
         return self.weights.get(TARGETS, 0.0) > 0.0
 
     def qualities(self, reduced: Reduced, parameters: int) -> dict[str, Floats]:
-        """The wanted qualities (B,); infinite for a layout that determines nothing."""
+        """Qualities (B,) with a weight; infinite for an undetermined layout."""
         qualities: dict[str, Floats] = {}
         if self.weights.get(INSTRUMENT, 0.0) > 0.0:
             qualities[INSTRUMENT] = self._instrument(reduced.information[:, :parameters, :parameters])
@@ -87,7 +86,7 @@ class Objective:
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
     def values(self, reduced: Reduced, parameters: int) -> Floats:
-        """The weighted geometric mean, (B,)."""
+        """Weighted geometric mean of the qualities, (B,)."""
         qualities = self.qualities(reduced, parameters)
         total = sum(self.weights[name] for name in qualities)
         logs = [self.weights[name] / total * np.log(value) for name, value in qualities.items()]
@@ -104,7 +103,7 @@ class Objective:
 def smallest_sizes(
     information: Floats, parameters: int, effects: Sequence[Effect], places: Mapping[str, int] | None = None
 ) -> Floats:
-    """Geometric mean (B,) over effects' parameters of minimal detectable over plausible size."""
+    """Geometric mean (B,), over the effects' parameters, of minimal detectable size divided by plausible size."""
     sought = {**Counter(effect.name for effect in effects), **(places or {})}
     parameter_block = information[:, :parameters, :parameters]
     value = np.full(len(information), np.inf)

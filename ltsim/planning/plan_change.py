@@ -1,4 +1,4 @@
-"""A change of one reflector in plan.json, and the units of places and angles in result files."""
+"""Change of one reflector in plan.json, and units of places and angles in result files."""
 
 from typing import Literal
 
@@ -8,42 +8,45 @@ from ltsim.recordings.result_file import Entry, Finite, Vector
 
 
 def in_millimetres(place: Floats, decimals: int = 1) -> Vector:
-    """A place (3,) [m] as a result file has it."""
+    """Place (3,) [m] converted to millimetres for a result file."""
     x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in place)
     return x, y, z
 
 
 def in_degrees(angle: float) -> float:
-    """An angle [rad] as a result file has it, from 0 to 360 degrees."""
+    """Angle [rad] converted to degrees (0 to 360) for a result file."""
     return round(float(angle) / DEGREE % 360, 2)
 
 
 class PlanChange(Entry):
-    """Change of one reflector: moved, added or omitted; `quality` is a factor on the plan's objective."""
+    """Change of one reflector (moved, added or removed); `quality` is a factor on the plan's objective."""
 
     do: Literal["move", "add", "remove"]
     """Type of the change."""
     words: str = ""
     """Change and its benefit, as a sentence."""
     reflector: str = ""
-    """Name of the reflector that is moved or left out."""
+    """Name of the reflector that is moved or removed."""
     place: str = ""
     """Name of the new place."""
     position_mm: Vector | None = None
     """Coordinates of the new place."""
     gain_um: Finite
-    """Fall of the point error of all other targets, root mean square, inner constraints; negative: it rises."""
+    """Decrease of the point error of all other targets (root mean square, inner constraints);
+    negative for an increase.
+    """
     quality: Finite
-    """Factor on the plan's objective, where that is targets alone on the error of all other targets; smaller is better.
+    """Factor on the plan's objective (for an objective of targets alone, on the error of all other targets); smaller is
+    better.
     """
     serves: str = ""
-    """The parameter, or the target, that gains most, or loses most where a reflector is left out."""
+    """Parameter or target that gains most, or loses most if a reflector is removed."""
     serves_factor: Finite = 1.0
-    """Factor on the standard deviation of that parameter or target; below 1: it falls."""
+    """Factor on the standard deviation of that parameter or target; below 1 is better."""
 
     @property
     def deed(self) -> str:
-        """Change in words, with the place in metres."""
+        """Text of the change, with the place in metres."""
         if self.position_mm is None:
             return f"leave out {self.reflector}"
         place = f"{self.place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"

@@ -1,4 +1,4 @@
-"""Entries of plan.json, each made from its part of the planned network."""
+"""Entries of plan.json, each created from a part of the planned network."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ltsim.calibration.combinations import Combination
 from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning.objective import TARGETS
 from ltsim.planning.plan_change import in_degrees, in_millimetres
-from ltsim.planning.tolerances import ToleranceCheck, keeps, percent
+from ltsim.planning.tolerances import ToleranceCheck, is_met, percent
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 Qualities = dict[str, OptionalFloat]
 Sizes = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
-"""Sizes along x, y and z, or none."""
+"""Sizes along x, y and z, or an empty tuple."""
 
 
 class StationEntry(Entry):
-    """A place for a tripod."""
+    """Station of a plan."""
 
     name: str
     """Name of the station."""
@@ -41,7 +41,7 @@ class StationEntry(Entry):
 
     @classmethod
     def places(cls, survey: Survey) -> tuple[Self, ...]:
-        """Places of the stations of a survey, without their precision."""
+        """Entries of the stations of a survey, without their precision."""
         rows = zip(survey.station_names, survey.position, survey.yaw, strict=True)
         return tuple(
             cls(name=name, position_mm=in_millimetres(place), yaw_deg=in_degrees(yaw)) for name, place, yaw in rows
@@ -49,7 +49,7 @@ class StationEntry(Entry):
 
     @classmethod
     def of(cls, layout: LayoutEvaluation) -> tuple[Self, ...]:
-        """Stations of a layout with their expected precision."""
+        """Entries of the stations of a layout, with their expected precision."""
         sigma = np.sqrt(np.einsum("sii->si", layout.information.pose_covariance[:, :3, :3])) / MICROMETRE
         counts = layout.survey.visible.sum(axis=1).tolist()
         return tuple(
@@ -80,17 +80,17 @@ class ReflectorEntry(Entry):
     visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
     within_mm: OptionalFloat = None
-    """Distance that the point error does not exceed at the confidence level of the goal; of points with a tolerance."""
+    """Distance that the point error does not exceed at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
     """Tolerance of the point error."""
     used: OptionalFloat = None
-    """Point error over its tolerance: `within_mm` / `tolerance_mm`; 1 at the limit."""
+    """Ratio of point error to tolerance, `within_mm` / `tolerance_mm`; at most 1 if the tolerance is met."""
     met: bool | None = None
-    """True where the tolerance is kept; null without any."""
+    """True if the tolerance is met; null without one."""
 
     @classmethod
     def of(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
-        """Reflectors of a layout with their expected precision, and against their tolerances where it has a check."""
+        """Entries of the reflectors of a layout with expected precision, and with tolerances if it has a check."""
         survey, information = layout.survey, layout.information
         expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
         return tuple(
@@ -108,12 +108,12 @@ class ReflectorEntry(Entry):
 
     @staticmethod
     def _against(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
-        """Fields of a point with a tolerance; none for another point."""
+        """Fields of a point with a tolerance; empty for another point."""
         if check is None or name not in check.radius:
             return {}
         within, used = check.radius[name] / MILLIMETRE, check.used(name)
         return {
-            "within_mm": within, "tolerance_mm": check.tolerance[name] / MILLIMETRE, "used": used, "met": keeps(used),
+            "within_mm": within, "tolerance_mm": check.tolerance[name] / MILLIMETRE, "used": used, "met": is_met(used),
         }  # fmt: skip
 
 
@@ -129,11 +129,11 @@ class PlannedParameterEntry(Entry):
     prior_sigma: Positive
     """Standard deviation before any reading."""
     gain: OptionalFloat = None
-    """Share of the prior variance that the readings would remove."""
+    """Fraction of the prior variance that the readings would remove."""
 
     @classmethod
     def of(cls, information: LayoutInformation) -> tuple[Self, ...]:
-        """Parameters of the instrument in the units that people read."""
+        """Entries of the instrument's parameters in units of display."""
         rows = zip(
             information.construction.parameters, information.instrument_sigma, information.prior_sigma, strict=True
         )
@@ -174,7 +174,7 @@ class ImprovementEntry(Entry):
 
 
 class WorkEntry(Entry):
-    """A way of working."""
+    """Measuring procedure: numbers of faces and rounds, and duration."""
 
     faces: int = 1
     """Number of faces: 1 or 2."""
@@ -183,13 +183,13 @@ class WorkEntry(Entry):
     pointings: int = 0
     """Number of pointings."""
     hours: Finite
-    """Duration of the whole work [h]."""
+    """Duration of the whole measurement [h]."""
     quality: Qualities = Field(default_factory=dict)
-    """Qualities that the goal weighs, by name; smaller is better."""
+    """Qualities with a weight in the goal, by name; smaller is better."""
 
     @staticmethod
     def _work(survey: Survey, qualities: dict[str, float]) -> dict[str, Any]:
-        """Fields of the way in which a survey is worked."""
+        """Fields of the measuring procedure of a survey."""
         return {
             "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.pointings,
             "hours": round(survey.seconds / 3600, 3), "quality": qualities,
@@ -197,12 +197,12 @@ class WorkEntry(Entry):
 
 
 class LayoutEntry(WorkEntry):
-    """A layout with its expected precision, before measuring."""
+    """Layout with its expected precision before measurement."""
 
     broken_rules: tuple[str, ...] = ()
-    """Rules of the plan that it breaks, a sentence each."""
+    """Rules of the plan that the layout breaks, one sentence each."""
     stations: tuple[StationEntry, ...]
-    """Places of the tripods."""
+    """Stations of the layout."""
     reflectors: tuple[ReflectorEntry, ...] = ()
     """Reflectors of the mesh."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
@@ -212,11 +212,11 @@ class LayoutEntry(WorkEntry):
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """Expected improvement, by the paper's criteria."""
     blocked_sights: tuple[str, ...] = ()
-    """Sights that are not possible: station, reflector and reason, a sentence each."""
+    """Station and reflector pairs without visibility, with the reason, one sentence each."""
 
     @classmethod
     def of_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None = None, **further: Any) -> Self:
-        """A layout, with a check against its tolerances; `further` fields are those of a subclass."""
+        """Entry of a layout, with a check against its tolerances; `further` are the additional fields of a subclass."""
         information, survey = layout.information, layout.survey
         names = information.construction.names
         return cls(
@@ -236,20 +236,20 @@ class LayoutEntry(WorkEntry):
 
 
 class OptionEntry(WorkEntry):
-    """A way of working with the best layout found for it."""
+    """Measuring procedure with its best layout."""
 
     stations: int
     """Number of stations."""
     value: OptionalFloat = None
     """Objective of the layout; smaller is better."""
     efficient: bool = False
-    """True where no cheaper way of working is as good."""
+    """True if no cheaper procedure is as good."""
     layout: tuple[StationEntry, ...] = ()
-    """Places of the tripods."""
+    """Stations of the layout."""
 
     @classmethod
     def of(cls, option: TradeoffPoint) -> Self:
-        """A point of the curve of cost against quality."""
+        """Entry of a point on the curve of cost against quality."""
         return cls(
             stations=len(option.survey.position),
             value=option.value,
@@ -260,39 +260,39 @@ class OptionEntry(WorkEntry):
 
     @property
     def value_um(self) -> float | None:
-        """Objective in micrometres where the goal is the error of the targets alone; None for another goal."""
+        """Objective in micrometres if the goal is the error of the targets alone; None for another goal."""
         return None if self.value is None or set(self.quality) != {TARGETS} else self.value / MICROMETRE
 
 
 class LossEntry(Entry):
-    """Tolerances after the loss of a station or a sight."""
+    """Check of the tolerances after the loss of a station or a sight."""
 
     lost: str
-    """Lost station or sight, in words."""
+    """Text of the lost station or sight."""
     met: bool
-    """True where all tolerances hold after the loss."""
+    """True if all tolerances are met after the loss."""
     ratio: OptionalFloat = None
-    """Largest point error over its tolerance; null where a point is no longer determined."""
+    """Largest ratio of point error to tolerance; null if a point is undetermined."""
     worst: str = ""
-    """The point with that ratio."""
+    """Point with the largest ratio."""
     unseen: tuple[str, ...] = ()
-    """Points with a tolerance that no station sees any more."""
+    """Points with a tolerance that no station sees after the loss."""
 
     @classmethod
     def of(cls, check: ToleranceCheck) -> Self:
-        """The tolerances after a loss."""
+        """Entry of a check after a loss."""
         return cls(lost=check.lost, met=check.good, ratio=check.ratio, worst=check.worst, unseen=check.unseen)
 
     @property
     def used(self) -> str:
-        """The ratio in percent; a word where the network determines no point; empty where a point is not visible."""
+        """Text of the ratio in percent, of an undetermined network, or empty for a hidden point."""
         if self.ratio is not None:
             return percent(self.ratio)
         return "" if self.unseen else "not determined"
 
 
 class DetectableSize(Entry):
-    """Minimal detectable size of an effect in a layout, at its best and its worst place."""
+    """Minimal detectable size of an effect in a layout, at the best, median and worst place."""
 
     effect: str
     """Identifier of the effect in the catalogue."""
@@ -309,13 +309,13 @@ class DetectableSize(Entry):
     worst_at: str = ""
     """Worst place or shape: station, target or shape."""
     plausible: Finite = 0.0
-    """A large but plausible size of the effect."""
+    """Large but plausible size of the effect."""
     visible: OptionalFloat = None
-    """Median share of the effect's signature that remains in the residuals."""
+    """Median fraction of the effect's signature that remains in the residuals."""
 
     @classmethod
     def of(cls, row: MinimalSize) -> Self:
-        """A minimal detectable size in the unit that people read."""
+        """Entry of a minimal detectable size in units of display."""
         factor = FACTOR[row.unit]
         return cls(
             effect=row.effect,
@@ -331,17 +331,20 @@ class DetectableSize(Entry):
 
 
 class ConfusablePair(Entry):
-    """Two effects that a layout can hardly distinguish; `share` of the first's signature is explained by the second."""
+    """Pair of effects that a layout can hardly distinguish.
+
+    `share` is the fraction of the first's signature that the second explains.
+    """
 
     effect: str
     """Identifier of the effect in the catalogue."""
     taken_for: str
-    """Identifier of the effect that explains its signature too."""
+    """Identifier of the effect that explains the signature too."""
     share: Finite
-    """Share of the signature that the second effect explains; 1 for all of it."""
+    """Fraction of the signature that the second effect explains; 1 for all of it."""
 
     @classmethod
     def of(cls, pair: tuple[str, str, float]) -> Self:
-        """A pair of a report on detectability."""
+        """Entry of a pair in a detectability report."""
         effect, taken_for, share = pair
         return cls(effect=effect, taken_for=taken_for, share=share)

@@ -1,4 +1,4 @@
-"""Planned networks: layouts with their expected precision, before anything is measured."""
+"""Planned networks: layouts with their expected precision before measurement."""
 
 from dataclasses import dataclass, replace
 
@@ -29,84 +29,84 @@ class TradeoffPoint(ValueEquality):
 
     survey: Survey
     value: float
-    """The objective; smaller is better."""
+    """Objective; smaller is better."""
     qualities: dict[str, float]
     efficient: bool = False
-    """No other option is better and cheaper."""
+    """True if no other option is both better and cheaper."""
 
     @property
     def hours(self) -> float:
-        """[h] Duration of the work."""
+        """Duration [h] of the measurement."""
         return self.survey.seconds / 3600.0
 
 
 @dataclass(frozen=True)
 class LayoutEvaluation(ValueEquality):
-    """A layout with everything that is known of it before measuring."""
+    """Evaluation of a layout before measurement."""
 
     survey: Survey
     value: float
-    """Infinite where the plan's rules do not allow it."""
+    """Objective; infinite for a layout that breaks rules of the plan."""
     qualities: dict[str, float]
     information: LayoutInformation
     table: Visibility
     expected: ExpectedErrors | None
-    """The paper's criteria; None where some target is not seen whole from everywhere."""
+    """Paper's criteria; None if a target is not completely visible from all stations."""
     broken: tuple[BrokenRule, ...] = ()
-    """Rules of the plan that it breaks."""
+    """Rules of the plan that the layout breaks."""
 
 
 @dataclass(frozen=True)
 class StationCountResult:
-    """Outcome of the searches for one number of stations."""
+    """Result of the searches for one number of stations."""
 
     stations: int
     ratio: float | None
-    """Largest error over its tolerance in the best of them; None without any."""
+    """Largest ratio of error to tolerance in the best layout; None without one."""
     has_layout: bool
     """True if a layout sees every point."""
     lacking: str = ""
-    """Points that the nearest layout does not see, in words."""
+    """Text of the points that the nearest layout does not see."""
 
 
 @dataclass(frozen=True, repr=False)
 class PlannedNetwork(ValueEquality):
-    """A layout with all that the planner knows of it, as arrays; `Plan` is the result that is made of it."""
+    """Planned network as arrays, from which the result `Plan` is created."""
 
     file: PlanFile
     scenario: Scenario
     site: SearchSpace
-    """Site for the chosen way of working."""
+    """Search space for the chosen measuring procedure."""
     reference: LayoutEvaluation | None
-    """The scenario's own layout, worked in the chosen way; None where it determines nothing."""
+    """Evaluation of the scenario's own layout with the chosen procedure; None if it is undetermined."""
     chosen: LayoutEvaluation
     changes: Changes
-    """Single reflectors of the chosen layout moved, added, left out."""
+    """Changes of single reflectors of the chosen layout: moved, added, removed."""
     demands: Tolerances
-    """Tolerances of points."""
+    """Tolerances of the points."""
     check: ToleranceCheck | None = None
-    """Chosen layout against the tolerances; None without any."""
+    """Check of the chosen layout against the tolerances; None without tolerances."""
     losses: tuple[ToleranceCheck, ...] = ()
-    """The layout against the tolerances without each station, then without each sight of a point with a tolerance."""
+    """Checks of the tolerances without each station, then without each sight of a point with a tolerance."""
     options: tuple[TradeoffPoint, ...] = ()
-    """The curve, cheapest first."""
+    """Trade-off curve in the order of cost."""
     spread: tuple[float, ...] = ()
-    """Values that the starts of the chosen way ended at, best first."""
+    """Final objectives of all starts with the chosen procedure, the best first."""
     tried: tuple[StationCountResult, ...] = ()
-    """Outcome for each number of stations, where the fewest are searched for."""
+    """Result for each number of stations, if the smallest number is searched."""
     stopped: bool = False
-    """True where somebody ended the search."""
+    """True if the user stopped the search."""
 
     @property
     def verdict(self) -> PlanVerdict | None:
-        """The layout against the plan's rules and tolerances; None without tolerances."""
+        """Verdict on the layout by rules and tolerances; None without tolerances."""
         if self.check is None:
             return None
         return verdict(self.demands, self.check, self.losses, self.chosen.broken)
 
 
 def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
-    """The plan of a layout as it is, without a search."""
+    """Planned network of a given layout, without a search."""
     built, demands = planned_construction(scenario), Tolerances.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
     objective = objective_of(file, survey)
@@ -124,7 +124,7 @@ def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
 
 
 def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[float, dict[str, float]]:
-    """Objective and qualities of a survey as it is."""
+    """Objective and qualities of a survey."""
     reducer = LayoutScorer(survey, built, objective.effects)
     slots = np.arange(len(survey.position))
     reduced = reducer.reduce(
@@ -139,7 +139,7 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
 
 
 def evaluated(site: SearchSpace, survey: Survey, objective: Objective, built: Construction) -> LayoutEvaluation:
-    """Evaluation of a layout before measuring; NetworkError where poses or targets are undetermined."""
+    """Evaluation of a layout before measurement; raises NetworkError for undetermined poses or targets."""
     table = sight_table(site, survey)
     survey = survey.replace(visible=table.visible)
     information = LayoutInformation.of(with_aimed_nests(site, survey), built)
@@ -151,7 +151,7 @@ def evaluated(site: SearchSpace, survey: Survey, objective: Objective, built: Co
 
 
 def sight_table(site: SearchSpace, survey: Survey) -> Visibility:
-    """Sights between stations and targets, with fixed nests, those of chosen reflectors too, aimed at the stations."""
+    """Visibility between stations and targets, with fixed nests (including chosen ones) aimed at the stations."""
     normal, aimed = aimed_normals(survey.position, survey.points)[0], _aimed(site, survey)
     return visibility(
         survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles
@@ -159,14 +159,14 @@ def sight_table(site: SearchSpace, survey: Survey) -> Visibility:
 
 
 def _aimed(site: SearchSpace, survey: Survey) -> Bools:
-    """Targets of a survey in fixed nests that are aimed at its stations, (T,)."""
+    """Flags (T,) of the targets of a survey in fixed nests that are aimed at its stations."""
     aimed = np.full(len(survey.points), bool(site.aimed.any()))
     aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
     return aimed
 
 
 def with_aimed_nests(site: SearchSpace, survey: Survey) -> Survey:
-    """The survey whose set-up says how its fixed nests are aimed at its stations."""
+    """Survey whose set-up contains the directions in which its fixed nests are aimed at its stations."""
     targets, normals = dict(survey.setup.targets), aimed_normals(survey.position, survey.points)[0]
     for at in np.flatnonzero(_aimed(site, survey)).tolist():
         name = survey.target_names[at]
@@ -178,7 +178,7 @@ def with_aimed_nests(site: SearchSpace, survey: Survey) -> Survey:
 def _reference(
     file: PlanFile, scenario: Scenario, site: SearchSpace, built: Construction, way: Survey
 ) -> LayoutEvaluation | None:
-    """The scenario's own layout, worked in the same way; none in a hall that the plan itself describes."""
+    """Evaluation of the scenario's own layout with the same procedure; None for a hall described by the plan."""
     if file.workshop is not None:
         return None
     work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")

@@ -1,4 +1,4 @@
-"""The result of `next_measurement`, declared once: Python object, next.json, its table, terminal and page."""
+"""Result of `next_measurement`: Python object, next.json, tables."""
 
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal, Self
@@ -14,34 +14,37 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFil
 
 
 class ProposalEntry(Entry):
-    """Further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
+    """Proposal of an additional measurement.
+
+    Factors apply to standard deviations, `evidence` is a chi-square between explanations.
+    """
 
     do: str
-    """Action in words."""
+    """Text of the action."""
     kind: str = ""
     """Kind of measurement: pointings, return, station, survey, length or reflectors."""
     minutes: Finite
-    """Duration of the work [min]."""
+    """Duration of the measurement [min]."""
     sharper: Finite
-    """Factor on the mean standard deviation of the instrument's parameters (geometric mean); below 1 is better."""
+    """Factor on the geometric mean of the standard deviations of the instrument's parameters; below 1 is better."""
     serves: str = ""
-    """The parameter that gains most."""
+    """Parameter that gains most."""
     serves_factor: Finite = 1.0
     """Factor on the standard deviation of that parameter; below 1 is better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
-    """Expected difference of chi-square between the first explanation and each other one, by name."""
+    """Expected chi-square difference between the first explanation and each other one, by name."""
     distinguishes: tuple[str, ...] = ()
     """Explanations that the measurement would distinguish from the first."""
     decides: bool = False
-    """True where it would distinguish all of them from the first."""
+    """True if the measurement would distinguish all other explanations from the first."""
     position_mm: Vector | None = None
-    """Position of the head at a new set-up, in the workshop's frame; null for other measurements."""
+    """Position of the head at a new set-up, workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None
     """Direction of azimuth zero at a new set-up; null for other measurements."""
 
     @classmethod
     def of(cls, proposal: Proposal) -> Self:
-        """A proposal of `next_measurement`."""
+        """Entry of a proposal of `next_measurement`."""
         p, there = proposal, proposal.remedy.set_up
         return cls(
             do=p.remedy.words,
@@ -60,7 +63,7 @@ class ProposalEntry(Entry):
 
 NEXT = Table(
     "next.csv",
-    "proposals of further measurements, the best first",
+    "proposals of further measurements in the order of benefit",
     columns_of(
         ProposalEntry,
         "kind minutes sharper serves serves_factor distinguishes decides do",
@@ -84,17 +87,17 @@ class NextMeasurement(ResultFile):
     diagnosis: str = ""
     """Result of the diagnosis, as a sentence."""
     between: tuple[str, ...] = ()
-    """The explanations to decide between."""
+    """Explanations to distinguish."""
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Difference of chi-square between the first explanation and each other one, in the recording as it is."""
+    """Chi-square difference between the first explanation and each other one in the present recording."""
     advice: str = ""
     """First action to take, as a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
-    """Proposals of further measurements, the best first."""
+    """Proposals of additional measurements, the best first."""
 
     @classmethod
     def of(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
-        """The proposals after a recording."""
+        """Result with the proposals for a recording."""
         return cls(
             recording=source,
             between=ranked.between,
@@ -114,7 +117,7 @@ class NextMeasurement(ResultFile):
         return NEXT.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
 
     def _separation(self) -> Table:
-        """Evidence between the first explanation and each other one: now, and after each measurement."""
+        """Table of the evidence between the first explanation and each other one: now, and after each measurement."""
         rivals = self.between[1:]
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", digits=3) for name in rivals

@@ -1,4 +1,4 @@
-"""Reasons for a plan: sentences, each with its number."""
+"""Sentences on the reasons for a plan, each with its number."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.plan_entries import PlannedParameterEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork, StationCountResult, TradeoffPoint, measure
-from ltsim.planning.site import MOST_NAMED, too_near, words_of
-from ltsim.planning.tolerances import against, keeps, loss_sentences
+from ltsim.planning.site import MAX_NAMED, too_near, words_of
+from ltsim.planning.tolerances import is_met, loss_sentences, text_near_limit
 from ltsim.planning.workshop import objective_of
 
 GAIN = " (gain "
-"""Text before the gain that a measurement gives; a sentence without it names no measurement."""
+"""Text before the gain of a measurement; a sentence without it names no measurement."""
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
     "A": "in the root mean square (A)",
@@ -29,7 +29,7 @@ CRITERION_WORDS = {
 
 
 def reasons(plan: PlannedNetwork) -> list[str]:
-    """The sentences, the answer first."""
+    """Sentences on the reasons for a plan, the result first."""
     sentences = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
     return [*sentences, *_air(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
 
@@ -56,7 +56,7 @@ def _headline(plan: PlannedNetwork) -> list[str]:
     name = plan.chosen.survey.target_names[worst]
     broken = f"The layout breaks a rule of the plan: {words_of(plan.chosen.broken)}. " if plan.chosen.broken else ""
     size = _shown(TARGETS, sigma[worst])
-    return [f"{broken}{work}. The plan states no tolerance; the worst point is {name} (sigma {size})."]
+    return [f"{broken}{work}. The plan has no tolerance; the worst point is {name} (sigma {size})."]
 
 
 def _tolerances(plan: PlannedNetwork) -> list[str]:
@@ -64,12 +64,12 @@ def _tolerances(plan: PlannedNetwork) -> list[str]:
 
 
 def _numbers(plan: PlannedNetwork) -> list[str]:
-    """Numbers of stations that were searched, with the outcome of each."""
+    """Sentences on the numbers of stations that were searched, with the result of each."""
     if not plan.tried:
         return []
     *fewer, last = plan.tried
     outcomes = _came_of(fewer, plan.site.min_sights)
-    good = last.ratio is not None and keeps(last.ratio)
+    good = last.ratio is not None and is_met(last.ratio)
     count = len(plan.chosen.survey.position)
     sentences = (
         [f"{last.stations} stations are the fewest for which the search found a layout that meets the tolerances."]
@@ -83,7 +83,7 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
         ]
         if not plan.stopped:
             if last.stations < plan.file.stations.max_count:
-                sentences.append("More stations were not searched, since the last two reduced the error by little.")
+                sentences.append("More stations were not searched, because the last two hardly reduced the error.")
             sentences.append("Try more floor area, more rounds or wider tolerances.")
         outcomes = _came_of(plan.tried, plan.site.min_sights)
     sentences += [f"Searched: {'; '.join(outcomes)}."] if outcomes else []
@@ -91,11 +91,11 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
 
 
 def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
-    """Clauses on the outcome for each number of stations, equal outcomes joined."""
+    """Clauses on the result for each number of stations; equal results are joined."""
 
     def words(outcome: StationCountResult) -> str:
         if outcome.ratio is not None and np.isfinite(outcome.ratio):
-            return f"the best layout has an error of {against(outcome.ratio, 1.0)} times its tolerance"
+            return f"the best layout has an error of {text_near_limit(outcome.ratio, 1.0)} times its tolerance"
         if outcome.has_layout:
             return "the best layout does not determine every point"
         return f"no layout has every point in sight of {least} station{'s' if least > 1 else ''}"
@@ -109,7 +109,7 @@ def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
 
 
 def _air(plan: PlannedNetwork) -> list[str]:
-    """Uncertainty of the air that the figures include."""
+    """Sentence on the uncertainty of the air that the results include."""
     adjustment = plan.chosen.information.adjustment
     air = counted_air(adjustment)
     if air is None:
@@ -140,7 +140,7 @@ def _against_reference(plan: PlannedNetwork) -> list[str]:
     if reference.expected is not None and chosen.expected is not None:
         a, b = reference.expected, chosen.expected
         sentences.append(
-            "For errors of the size that the maker guarantees, calibration is expected to reduce the paper's distance "
+            "For errors within the specification, calibration is expected to reduce the paper's distance "
             f"criterion by {b.distance_improvement[0]:.0f} % and the coordinate criterion by "
             f"{b.coordinate_improvement[0]:.0f} % (scenario's layout: {a.distance_improvement[0]:.0f} % and "
             f"{a.coordinate_improvement[0]:.0f} %)."
@@ -165,7 +165,7 @@ def _parameters(reference: LayoutEvaluation, chosen: LayoutEvaluation) -> list[s
 
 
 def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
-    """Sentences on the loss of quality without each station, and the parameter that suffers most."""
+    """Sentences on the loss of quality without each station, and the parameter that is affected most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
     objective, sentences = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
@@ -213,10 +213,10 @@ def _limits(plan: PlannedNetwork) -> list[str]:
         least = survey.visible.sum(axis=0).min()
         sentences.append(f"Every reflector is visible from at least {least} station{'s' if least > 1 else ''}.")
     if site.obstacles is not None:
-        depth = np.linalg.norm(site.obstacles.over_skin(survey.points) - survey.points, axis=1)
+        depth = np.linalg.norm(site.obstacles.moved_to_surface(survey.points) - survey.points, axis=1)
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             sentences.append(
-                f"{listing(under, MOST_NAMED)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
+                f"{listing(under, MAX_NAMED)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
                 "within the tolerance of its mesh, and are treated as on its surface."
             )
     lost = plan.chosen.table.lost(names, survey.target_names)
@@ -241,7 +241,7 @@ def fewest(plan: PlannedNetwork) -> TradeoffPoint | None:
 
 
 def _curve(plan: PlannedNetwork) -> list[str]:
-    """Sentences on fewer stations that suffice, and on the cost of a better layout."""
+    """Sentences on fewer stations that are sufficient, and on the cost of a better layout."""
     sentences, few, reference = [], fewest(plan), plan.reference
     if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
         goal = " ".join(plan.chosen.qualities)
@@ -274,7 +274,7 @@ def _reference_value(plan: PlannedNetwork) -> float:
 
 
 def _undetermined(plan: PlannedNetwork) -> list[str]:
-    """Number of undetermined combinations of parameters, and the measurement that determines most of them."""
+    """Sentences on the number of undetermined combinations, and the measurement that determines most of them."""
     information = plan.chosen.information
     count = len(information.undetermined)
     if not count:

@@ -1,7 +1,7 @@
-"""Reflectors among candidate places: chosen anew, or every single change of a layout ranked by what it is worth.
+"""Reflectors at candidate places: selection of all, or evaluation of every change of a single one.
 
-Seen from given stations each reflector adds its own term to the information (targets are eliminated one by one), so
-that an exchange of two places is a difference of two small matrices.
+For given stations each reflector adds a separate term to the information (targets are eliminated one by one), so that
+an exchange of two places is the difference of two small matrices.
 """
 
 from __future__ import annotations
@@ -16,37 +16,39 @@ from ltsim.core.errors import SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.fast import LayoutScorer, Reduced
-from ltsim.planning.objective import LEAST_IMPROVEMENT, TARGETS, Objective
+from ltsim.planning.objective import MIN_IMPROVEMENT, TARGETS, Objective
 from ltsim.planning.plan_change import PlanChange, in_millimetres
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import Survey
 from ltsim.scene.visibility import aimed_normals
 
 SWEEPS = 8
-"""Rounds of exchanges at most."""
-SAME_PLACE = 1e-3
-"""[m] Distance within which a candidate place is the present place of a reflector."""
+"""Largest number of rounds of exchanges."""
+SAME_PLACE_M = 1e-3
+"""Distance [m] within which a candidate place equals the present place of a reflector."""
 
 
 @dataclass(frozen=True)
 class PlaceTable:
-    """Terms of the normal matrix of poses, gauge and parameters, for given stations."""
+    """Terms of the normal matrix of poses, gauge and parameters for reflectors at candidate places."""
 
     reducer: LayoutScorer
     base: Floats
-    """Targets that stay, known lengths, priors, datum, (K, K)."""
+    """Normal matrix of fixed targets, reference lengths, priors and datum, (K, K)."""
     terms: Floats
-    """(P, K, K): what a reflector at each place would add."""
+    """Normal matrix of a reflector at each place, (P, K, K)."""
     length: Floats
-    """Squared lengths of the columns before targets are eliminated, with reflectors at all places, (K,)."""
+    """Squared norms of the columns before elimination of targets, with reflectors at all places, (K,)."""
     inverse: Floats
-    """(E, 3, 3): of all targets but the gauge's, staying ones first, then the places (`LayoutScorer.eliminated`)."""
+    """Inverse blocks (E, 3, 3) of all targets except the gauge's, fixed ones first, then the places
+    (`LayoutScorer.eliminated`).
+    """
     weights: Floats
-    """(E, 3, K): of the same targets."""
+    """Products (E, 3, K) of these inverse blocks and the coupling blocks."""
 
     @classmethod
     def of(cls, survey: Survey, stays: Bools, places: Floats, visible: Bools, reducer: LayoutScorer) -> PlaceTable:
-        """Terms of `places`; `reducer` has the staying targets first, then the places; `visible` (S, targets)."""
+        """Terms of `places`; `reducer` has the fixed targets first, then the places; `visible` is (S, targets)."""
         count, staying = len(survey.position), int(stays.sum())
         slots = np.arange(count)
         only = visible.copy()
@@ -71,29 +73,32 @@ class PlaceTable:
         return self.base + self.terms[chosen].sum(axis=0)
 
     def information(self, totals: Floats) -> Floats:
-        """Information (B, P, P) of the parameters; NaN where a direction is open."""
+        """Information (B, P, P) on the parameters; NaN for undetermined unknowns."""
         return self.reducer.marginal(totals, np.broadcast_to(self.length, totals.shape[:2]))
 
     def target_rms(self, totals: Floats, asked: Ints) -> Floats:
-        """Point error (B,) [m] of the targets that stay and of reflectors at the places `asked` (n,) or (B, n)."""
+        """Root mean square point error (B,) [m] of fixed targets and of reflectors at the places `asked`.
+
+        These are (n,) or (B, n).
+        """
         at = self._at(len(totals), asked)
         return self.reducer.target_rms(totals, self.inverse[at], self.weights[at], self.reducer.mesh[at])
 
     def target_sigma(self, total: Floats, asked: Ints) -> dict[str, float]:
-        """Point error [m] of each of them by name, of one normal matrix (K, K)."""
+        """Point error [m] of these targets by name, for one normal matrix (K, K)."""
         at, reducer = self._at(1, asked), self.reducer
         variance = reducer.target_variance(total[None], self.inverse[at], self.weights[at], reducer.mesh[at])[0]
         names = [reducer.survey.target_names[t] for t in reducer.asked(reducer.mesh[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _at(self, layouts: int, asked: Ints) -> Ints:
-        """Rows of `inverse` of the targets that stay and of those at the places `asked`, (B, staying + n)."""
+        """Rows of `inverse` for the fixed targets and the places `asked`, (B, fixed + n)."""
         stay = len(self.inverse) - len(self.terms)
         asked = np.broadcast_to(asked, (layouts, np.shape(asked)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + asked], axis=1)
 
     def values(self, totals: Floats, chosen: Ints, objective: Objective) -> Floats:
-        """Objective (B,) of normal matrices (B, K, K) with reflectors at the places `chosen` (B, n)."""
+        """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `chosen` (B, n)."""
         information = self.information(totals)
         rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.wants_targets:
@@ -102,7 +107,7 @@ class PlaceTable:
 
 
 def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str, ...], visible: Bools) -> Survey:
-    """The survey with the staying targets and reflectors at `places`."""
+    """Survey with the fixed targets and with reflectors at `places`."""
     keep = np.flatnonzero(stays)
     count = len(keep) + len(places)
     rank = None if survey.rank is None else np.tile(np.arange(count), (len(survey.position), 1))
@@ -116,28 +121,30 @@ def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str,
 
 @dataclass(frozen=True)
 class Movable:
-    """The places among which movable reflectors are chosen: their own first, then the site's."""
+    """Places for movable reflectors: their present ones first, then those of the search space."""
 
     places: Floats
-    """(P, 3) [m]."""
+    """Coordinates of the places, (P, 3) [m]."""
     names: tuple[str, ...]
     n_present: int
-    """Number of places that are the present ones of reflectors."""
+    """Number of places that are present places of reflectors."""
     visible: Bools
-    """(S, k + P): of the k targets that stay, then the places."""
+    """Visibility flags of the k fixed targets and of the places, (S, k + P)."""
     table: PlaceTable
 
     @classmethod
     def of(
         cls, site: SearchSpace, survey: Survey, stays: Bools, objective: Objective, construction: Construction
     ) -> Movable:
-        """The places that are in sight; `stays` (T,) are targets that are no matter of choice."""
+        """Visible places for movable reflectors; `stays` (T,) marks the fixed targets."""
         offered = np.zeros((0, 3)) if site.nests is None else site.nests
         places = np.concatenate([survey.points[~stays], offered])
         present = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
         good = _usable(site, survey, places)
-        good &= ~np.r_[np.zeros(len(present), bool), _taken(survey.points[~stays], offered, SAME_PLACE)]
-        good &= ~np.r_[np.zeros(len(present), bool), _taken(survey.points[stays], offered, site.reflector_spacing)]
+        good &= ~np.r_[np.zeros(len(present), bool), _near_points(survey.points[~stays], offered, SAME_PLACE_M)]
+        good &= ~np.r_[
+            np.zeros(len(present), bool), _near_points(survey.points[stays], offered, site.reflector_spacing)
+        ]
         names = tuple(n for n, g in zip((*present, *site.nest_names), good, strict=True) if g)
         places = places[good]
         visible = site.visible(survey.position, np.concatenate([survey.points[stays], places]))
@@ -152,9 +159,9 @@ class Movable:
 def choose_reflectors(
     site: SearchSpace, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Survey:
-    """The survey with its movable reflectors (not `stays` (T,)) at the best of the site's places and their own.
+    """Survey with its movable reflectors (not `stays` (T,)) at the best of their present and candidate places.
 
-    Raises SetupError where too few places are in sight.
+    Raises SetupError if too few places are visible.
     """
     if site.nests is None:
         return survey
@@ -162,7 +169,7 @@ def choose_reflectors(
     places = choice.places
     if len(places) < wanted:
         raise SetupError(
-            f"only {len(places)} places for reflectors are in sight of the stations, {wanted} are wanted; "
+            f"only {len(places)} places for reflectors are visible from the stations, expected {wanted}; "
             "add places or ask for fewer"
         )
     start = _start(places, np.arange(len(places)) < choice.n_present, wanted, site.reflector_spacing)
@@ -174,21 +181,21 @@ def choose_reflectors(
 
 
 def _usable(site: SearchSpace, survey: Survey, places: Floats) -> Bools:
-    """Seen from enough stations; a fixed nest there can be aimed at all of them, (P,)."""
+    """Flags (P,) of the places that enough stations see, and at which a fixed nest can be aimed at all of them."""
     good: Bools = site.visible(survey.position, places).sum(axis=0) >= min(site.min_sights, len(survey.position))
     if site.aimed.any():
         good &= aimed_normals(survey.position, places)[1] <= site.limits.acceptance
     return good
 
 
-def _taken(points: Floats, places: Floats, within: float) -> Bools:
-    """Places within a distance [m] of a point, (P,)."""
+def _near_points(points: Floats, places: Floats, within: float) -> Bools:
+    """Flags (P,) of the places within a distance [m] of a point."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < within).any(axis=1))
 
 
 def _start(places: Floats, present: Bools, wanted: int, spacing: float) -> Ints:
-    """Indices (wanted,): the reflectors' present places, filled up by those far from all others."""
+    """Indices (wanted,) of initial places: the present ones, then those far from all others."""
     chosen: list[int] = np.flatnonzero(present).tolist()
     while len(chosen) < wanted:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
@@ -200,7 +207,7 @@ def _start(places: Floats, present: Bools, wanted: int, spacing: float) -> Ints:
 
 
 def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: Ints, spacing: float) -> Ints:
-    """Exchange one reflector at a time for the best free place until no exchange helps (Fedorov)."""
+    """Indices of places after exchanges of single reflectors until none improves the objective (Fedorov)."""
     chosen = chosen.copy()
     total = table.total(chosen)
     value = float(table.values(total[None], chosen[None], objective)[0])
@@ -219,61 +226,63 @@ def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: I
             if values[best] < value:
                 chosen[i], value = free[best], float(values[best])
                 total = without + table.terms[chosen[i]]
-        if value > before * (1 - LEAST_IMPROVEMENT):
+        if value > before * (1 - MIN_IMPROVEMENT):
             break
     return chosen
 
 
-MATERIAL = 0.002
-"""Least improvement of the quality, relative, from which on a change is reported."""
-NEGLIGIBLE = 5e-4
-"""Change of the quality, relative, that is none."""
-MOST_REPORTED = 3
-"""Number of changes of each sort that are reported."""
+MIN_GAIN = 0.002
+"""Smallest relative improvement of the quality at which a change is reported."""
+UNCHANGED_QUALITY = 5e-4
+"""Relative change of the quality up to which it counts as unchanged."""
+MAX_REPORTED = 3
+"""Largest number of reported changes of each kind."""
 
 ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 RankedChange = tuple[float, int | None, int | None, Floats]
-"""Factor on the quality, which reflector leaves, which place is taken, the normal matrix then."""
+"""Factor on the quality, removed reflector, occupied place, and the resulting normal matrix."""
 
 
 @dataclass(frozen=True)
 class Changes:
-    """All single changes that were tried."""
+    """Results of all changes of single reflectors."""
 
     reported: tuple[PlanChange, ...]
-    """Moves and additions that help, the best first, then what can be left out at the least cost."""
+    """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
     tried: dict[ChangeKind, int]
-    """Number of changes tried, by sort."""
+    """Number of evaluated changes, by kind."""
     helped: dict[ChangeKind, int]
-    """Number of changes that improve the quality by more than `MATERIAL`, by sort."""
+    """Number of changes that improve the quality by more than `MIN_GAIN`, by kind."""
 
     @property
     def summary(self) -> str:
-        """Numbers of changes tried and of those that help, as a sentence."""
+        """Sentence on the numbers of evaluated and useful changes."""
         if not self.tried["move"] + self.tried["add"]:
             return (
-                "No other place for a reflector was tried: give candidates as reflectors.on, reflectors.places or "
+                "No other place for a reflector was tested: give candidates as reflectors.on, reflectors.places or "
                 "reflectors.surfaces, and say which points of a list may go elsewhere as reflectors.movable."
             )
         return (
-            f"Tried one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
+            f"Tested one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
             f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
-            f"{100 * MATERIAL:.1f} %."
+            f"{100 * MIN_GAIN:.1f} %."
         )
 
 
 def reflector_changes(
     site: SearchSpace, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Changes:
-    """Try every move, addition and removal of one reflector, but of those that stay (T,); places are the site's."""
+    """Results of every move, addition and removal of one reflector except the fixed ones (`stays` (T,))."""
     if stays.all() and site.nests is None:
         return Changes((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
-    return _Trial(Movable.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
+    return _ReflectorTrials(
+        Movable.of(site, survey, stays, objective, construction), objective, site.reflector_spacing
+    ).changes()
 
 
-class _Trial:
-    """A choice of places, the reflectors' own in use."""
+class _ReflectorTrials:
+    """Evaluation of changes of a layout, with the reflectors at their present places."""
 
     def __init__(self, choice: Movable, objective: Objective, spacing: float) -> None:
         self.choice, self.table, self.objective = choice, choice.table, objective
@@ -286,11 +295,11 @@ class _Trial:
 
     @property
     def _of_targets(self) -> bool:
-        """The goal is targets alone."""
+        """True if the goal is the error of targets alone."""
         return not any(weight > 0 for name, weight in self.objective.weights.items() if name != TARGETS)
 
     def _worth(self, totals: Floats, sets: Ints, common: Ints) -> Floats:
-        """Factor (B,) on the objective; with a goal of targets alone on the point error of those that stay."""
+        """Factor (B,) on the objective; for a goal of targets alone, on the point error of the fixed ones."""
         if self._of_targets:
             return self.table.target_rms(totals, common) / self.table.target_rms(self.total[None], common)
         return self.table.values(totals, sets, self.objective) / self.now
@@ -302,13 +311,13 @@ class _Trial:
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free(self, others: Ints) -> Ints:
-        """Places that are not in use and far enough from the reflectors in use."""
+        """Places that are free and far enough from the reflectors in use."""
         open_ = ~self.near[:, others].any(axis=1)
         open_[self.chosen] = False
         return np.flatnonzero(open_)
 
     def changes(self) -> Changes:
-        """All single changes."""
+        """Results of all changes of single reflectors."""
         terms, chosen = self.table.terms, self.chosen
         candidates: dict[ChangeKind, list[RankedChange]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
@@ -325,7 +334,7 @@ class _Trial:
                 return
             values = self._worth(totals, sets, others)
             tried[what] += len(values)
-            helped[what] += int(np.sum(values < 1 - MATERIAL))
+            helped[what] += int(np.sum(values < 1 - MIN_GAIN))
             for k in np.argsort(values)[: 1 if what == "move" else None].tolist():
                 place = None if what == "remove" else int(places[k])
                 candidates[what].append((float(values[k]), taken, place, totals[k]))
@@ -336,8 +345,8 @@ class _Trial:
         note("add", None, self._free(chosen))
         reported: list[PlanChange] = []
         for what, made in candidates.items():
-            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:MOST_REPORTED]
-            reported += [self._change(what, *change) for change in best if what == "remove" or change[0] < 1 - MATERIAL]
+            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED]
+            reported += [self._change(what, *change) for change in best if what == "remove" or change[0] < 1 - MIN_GAIN]
         return Changes(tuple(reported), tried, helped)
 
     def _change(
@@ -367,8 +376,8 @@ class _Trial:
 
 
 def _words(change: PlanChange) -> str:
-    """Change and its benefit, as a sentence without a full stop."""
-    if abs(1 - change.quality) < NEGLIGIBLE:
+    """Sentence on a change and its benefit, without a full stop."""
+    if abs(1 - change.quality) < UNCHANGED_QUALITY:
         return f"{change.deed}: makes no difference"
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
@@ -378,7 +387,7 @@ def _words(change: PlanChange) -> str:
 
 
 def _at_different_places(best: list[RankedChange]) -> list[RankedChange]:
-    """The first for each place; all that take none."""
+    """Best change for each place, and all changes that need no place."""
     distinct, places = [], set()
     for change in best:
         if change[2] is None or change[2] not in places:

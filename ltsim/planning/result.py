@@ -1,4 +1,4 @@
-"""The result of planning, declared once: Python object, JSON, tables, terminal and page."""
+"""Result of planning: Python object, plan.json, tables."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,11 +27,11 @@ from ltsim.simulation.workshop import bodies_of
 FRAME = (
     "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, counter-clockwise from x"
 )
-"""Coordinate system of all coordinates, in words."""
+"""Text of the coordinate system of all coordinates."""
 
 
 class Plan(ResultFile, LayoutEntry):
-    """`plan.json`: the result of `plan`, in Python, on the terminal and on the page."""
+    """`plan.json`: the result of planning."""
 
     FILE: ClassVar[str] = "plan.json"
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
@@ -39,48 +39,49 @@ class Plan(ResultFile, LayoutEntry):
     title: str = ""
     """Free text."""
     summary: str
-    """The plan in one sentence."""
+    """Sentence on the plan."""
     reasons: tuple[str, ...] = ()
     """Reasons for the layout, a sentence each."""
     frame: str = ""
-    """Coordinate system of all coordinates, in words."""
+    """Text of the coordinate system of all coordinates."""
     reference: LayoutEntry | None = None
-    """The scenario's own layout."""
+    """Layout of the scenario, for comparison."""
     fewest_stations: OptionEntry | None = None
-    """The fewest that match the scenario's own layout."""
+    """Option with the fewest stations that is as good as the layout of the scenario."""
     tradeoff: tuple[OptionEntry, ...] = ()
-    """All ways of working that were tried, the cheapest first."""
+    """All measuring procedures that were evaluated, in the order of cost."""
     starts: tuple[OptionalFloat, ...] = ()
     """Value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[PlanChange, ...] = ()
-    """Changes of one reflector that help, the best first, then reflectors that can be left out."""
+    """Useful changes of one reflector, the best first, then reflectors that can be removed."""
     changes_tried: str = ""
     """Numbers of reflector changes tried and of those that help, as a sentence."""
     bodies: tuple[str, ...] = ()
-    """Bodies in the hall, a sentence each: type of the file, size and place."""
+    """Obstacles in the hall, one sentence each: type of the file, size and position."""
     reached: bool | None = None
-    """The goal is reached: no rule is broken and tolerances are kept, after any one loss too where that is asked for;
-    null without any."""
+    """True if the goal is reached: no rule is broken and all tolerances are met, after any single loss if required;
+    null without tolerances.
+    """
     tolerances_met: bool | None = None
-    """All points keep their tolerances while nothing is lost; null without any."""
+    """True if all points meet their tolerances without a loss; null without tolerances."""
     losses: tuple[LossEntry, ...] = ()
     """Tolerances after the loss of each station, and of each sight of a point with a tolerance."""
     settings: PlanFile = PlanFile()
     """Content of the plan file."""
     seed: int | None = None
-    """Root of the search."""
+    """Root of the random draws of the search."""
     detectable: tuple[DetectableSize, ...] = ()
     """Minimal detectable sizes of effects."""
     confusable: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that the layout cannot distinguish."""
     silent: tuple[str, ...] = ()
-    """Effects that leave no trace in the residuals."""
+    """Effects that leave no signature in the residuals."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
 
     @classmethod
     def of(cls, network: PlannedNetwork) -> Self:
-        """The result of a planned network."""
+        """Result of a planned network."""
         sentences, few, judged = reasons(network), fewest(network), network.verdict
         report = detectability(network.chosen.information.adjustment, CATALOGUE)
         made = cls.of_layout(
@@ -181,7 +182,7 @@ class Plan(ResultFile, LayoutEntry):
 
 
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
-    """Write plan.json, the tables, scenario.toml and pictures, where a folder is given; the plan with their digests."""
+    """Plan with digests of its files, which are written to a folder if one is given."""
     if folder is None:
         return plan
     network = plan.network
@@ -193,7 +194,10 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan and its scenario: a plan file, a scenario, a plan's folder with its stations, or what the board saved."""
+    """Plan and scenario of a source.
+
+    The source is a plan file, a scenario, a plan's folder, or a file saved by the interactive planner.
+    """
     folder = source_path(source)
     if (folder / PLAN).is_file():
         return load_plan(folder / PLAN)

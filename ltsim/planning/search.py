@@ -1,8 +1,8 @@
-"""Search for a layout: exchange of stations over a grid of set-ups, then continuous refinement, from many starts.
+"""Search for a layout from many starts: exchange of stations over a grid of set-ups, then continuous refinement.
 
 Both steps replace one station at a time by the best of many candidates, evaluated as one batch; only the candidates'
-own contributions are computed anew. Every step lowers the objective, so a start ends at a layout that no
-single station improves.
+own contributions are computed anew. Every step decreases the objective, so that a start ends at a layout that no change
+of a single station improves.
 """
 
 from collections.abc import Callable
@@ -17,44 +17,44 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
-from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
+from ltsim.planning.objective import MIN_IMPROVEMENT, Objective
 from ltsim.planning.site import Placement, SearchSpace
 
 CHUNK = 64
 SWEEPS = 12
 TRIES = 12
-PACE = 0.985
-"""Factor on the remaining share of the progress bar for each step; the number of steps is not known before."""
-FINEST = 0.004
-"""[m] Step of the last moves off the grid."""
+PROGRESS_FACTOR = 0.985
+"""Factor on the remaining part of the progress bar for each step; the number of steps is unknown in advance."""
+MIN_STEP = 0.004
+"""Step [m] of the last moves off the grid."""
 
 
 @dataclass(frozen=True)
 class PlannedLayout:
-    """Stations of a layout and what they are worth."""
+    """Stations of a layout and its objective."""
 
     position: Floats
-    """(S, 3) [m]."""
+    """Positions of the stations, (S, 3) [m]."""
     yaw: Floats
-    """(S,) [rad]."""
+    """Yaw of each station, (S,) [rad]."""
     value: float
-    """The objective; infinite where the layout is not allowed."""
+    """Objective; infinite for a layout that breaks a rule."""
 
 
 @dataclass
 class LayoutSearcher:
-    """Search on one site for one objective."""
+    """Search in one search space for one objective."""
 
     site: SearchSpace
     objective: Objective = field(default_factory=Objective)
     construction: Construction = field(default_factory=misalignment)
     step: float = 0.5
-    """[m]: grid of the exchange."""
+    """Step of the grid [m]."""
     yaws: int = 6
     heights: int = 2
-    """Turns and heights tried at each place of the grid."""
+    """Number of yaws and of heights that are tried at each place of the grid."""
     tell: Callable[[float], None] = quiet
-    """Callback for the share of a start that is done."""
+    """Callback for the finished fraction of a start."""
     keep: Callable[[PlannedLayout], None] = quiet
     """Callback for each better layout."""
 
@@ -66,7 +66,7 @@ class LayoutSearcher:
         self._steps = 0
 
     def pool(self, position: Floats, yaw: Floats, slot: int, visible: Bools | None = None) -> NormalBlocks:
-        """Set-ups that stand for station `slot`; which targets are `visible` (N, T) is computed unless it is given."""
+        """Set-ups as alternatives for station `slot`; `visible` (N, T) is computed unless given."""
         visible, parts = self.site.visible(position) if visible is None else visible, []
         for a in range(0, len(position), CHUNK):
             chunk = slice(a, a + CHUNK)
@@ -76,7 +76,7 @@ class LayoutSearcher:
         return NormalBlocks.concatenated(parts)
 
     def table(self, slot: int) -> NormalBlocks:
-        """The grid of candidate set-ups; it depends on the slot only where effects know the time."""
+        """Grid of candidate set-ups; it depends on the slot only for time-dependent effects."""
         key = slot if self.objective.effects else 0
         if key not in self._tables:
             places, visible = self.placement.position, self.placement.visible
@@ -92,26 +92,26 @@ class LayoutSearcher:
 
     @cached_property
     def placement(self) -> Placement:
-        """Candidate places of stations on the grid, with the targets in sight from each."""
+        """Candidate places of stations on the grid, with the targets visible from each."""
         return self.site.placement(self.step, self.heights)
 
     def _nowhere(self) -> str:
-        """A sentence: which targets cannot be seen from everywhere, or from anywhere."""
+        """Sentence on targets that cannot be seen from all stations, or from any."""
         share = self.placement.visible.mean(axis=0)
         if not share.all():
             return self.site.out_of_sight(np.flatnonzero(share == 0))
         worst = self.site.survey.target_names[int(np.argmin(share))]
         return (
             f"no place on the floor sees every reflector: {worst} is visible from {100 * share.min():.0f} % of the "
-            "places; move it, widen the floor, or set a smaller stations.min_stations_per_target"
+            "places; move it, enlarge the floor, or set a smaller stations.min_stations_per_target"
         )
 
     def layout(self, position: Floats, yaw: Floats) -> NormalBlocks:
-        """The stations of a layout (S, 3), (S,), each as the one that it is."""
+        """Stations of a layout (positions (S, 3), yaws (S,)) as set-ups."""
         return NormalBlocks.concatenated([self.pool(position[[s]], yaw[[s]], s) for s in range(self.stations)])
 
     def evaluate(self, position: Floats, yaw: Floats) -> PlannedLayout:
-        """A layout as it is."""
+        """Layout with its objective."""
         here = self.layout(position, yaw)
         good = self.site.allowed(position).all() and self.site.feasible(position[None], here.visible[None])[0]
         return PlannedLayout(position, yaw, self._value(here) if good else np.inf)
@@ -120,7 +120,7 @@ class LayoutSearcher:
         return float(self._values(layout, np.arange(self.stations)[None])[0])
 
     def _values(self, blocks: NormalBlocks, chosen: Ints) -> Floats:
-        """Objective (B,) of layouts; `chosen` (B, S) are indices into `blocks`."""
+        """Objective (B,) of layouts; each row of `chosen` (B, S) has indices into `blocks`."""
         values = [
             self.objective.values(
                 self.reducer.reduce(blocks, chosen[a : a + CHUNK], targets=self.objective.wants_targets),
@@ -131,12 +131,12 @@ class LayoutSearcher:
         return np.concatenate(values) if values else np.zeros(0)
 
     def _step(self) -> None:
-        """Report progress to the listener."""
+        """Report of progress to the callback."""
         self._steps += 1
-        self.tell(1.0 - PACE**self._steps)
+        self.tell(1.0 - PROGRESS_FACTOR**self._steps)
 
     def replacements(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> Floats:
-        """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
+        """Objective (N,) of the layout with each candidate as station `slot`; infinite if a rule is broken."""
         count, (position, visible) = len(candidates.position), _with_each(layout, slot, candidates)
         good = np.flatnonzero(self.site.feasible(position, visible))
         values = np.full(count, np.inf)
@@ -146,7 +146,7 @@ class LayoutSearcher:
         return values
 
     def best_replacement(self, layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> tuple[int, float]:
-        """The candidate that serves best as station `slot`, and the value; infinite where none may."""
+        """Best candidate for station `slot` and its objective; infinite if all candidates break a rule."""
         self._step()
         values = self.replacements(layout, slot, candidates)
         best = int(np.argmin(values))
@@ -155,7 +155,7 @@ class LayoutSearcher:
     def _sweep(
         self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]
     ) -> tuple[NormalBlocks, float]:
-        """Each station in turn replaced by the best of its candidates, where that is better."""
+        """Layout after one sweep, in which each station is replaced by the best of its candidates if that is better."""
         for slot in self._free:
             offered = candidates(layout, slot)
             if offered is None:
@@ -167,20 +167,23 @@ class LayoutSearcher:
         return layout, value
 
     def exchange(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
-        """Replace stations by set-ups of the grid until none of them helps."""
+        """Layout after exchanges of stations for set-ups of the grid, until none improves it."""
         for _ in range(SWEEPS):
             before = value
             layout, value = self._sweep(layout, value, lambda _, slot: self.table(slot))
-            if not value < before * (1 - LEAST_IMPROVEMENT):
+            if not value < before * (1 - MIN_IMPROVEMENT):
                 break
         return layout, value
 
     def refine(self, layout: NormalBlocks, value: float, rng: np.random.Generator) -> tuple[NormalBlocks, float]:
-        """Move stations off the grid: a pattern search with shrinking steps, along the axes and at random."""
+        """Layout after moves of stations off the grid.
+
+        It is a pattern search with shrinking steps along the axes and at random.
+        """
         reach = 0.5 * self.step
 
         def around(layout: NormalBlocks, slot: int) -> NormalBlocks | None:
-            """Set-ups near a station: x, y, height and yaw moved alone and together."""
+            """Set-ups near a station, with x, y, height and yaw changed separately and together."""
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.step]
             moves = np.concatenate([axes, rng.uniform(-1, 1, (16, 4))]) * steps
@@ -189,18 +192,18 @@ class LayoutSearcher:
             good = self.site.allowed(position)
             return self.pool(position[good], layout.yaw[slot] + moves[good, 3], slot) if good.any() else None
 
-        while reach > FINEST:
+        while reach > MIN_STEP:
             before = value
             layout, value = self._sweep(layout, value, around)
-            if not value < before * (1 - LEAST_IMPROVEMENT):
+            if not value < before * (1 - MIN_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
 
     def random_layout(self, rng: np.random.Generator) -> NormalBlocks:
-        """An allowed layout: stations placed one by one with some chance, fixed ones kept.
+        """Permitted random layout; fixed stations remain.
 
-        It determines all poses and targets where a few draws give such a one. Raises SetupError where none is allowed,
-        with the targets that lack sights.
+        It determines all poses and targets if a few draws give such a layout. Raises SetupError, with the targets that
+        lack sights, if none is permitted.
         """
         survey, free, places = self.site.survey, self._free, self.placement
         tables = {slot: self.table(slot) for slot in free}
@@ -226,11 +229,11 @@ class LayoutSearcher:
             f"the search found no layout of {self.stations} stations among {len(places.position)} places that are "
             f"{self.site.spacing:g} m apart and have every reflector in sight of {self.site.min_sights}"
             f"{f' (the closest one lacks sights of {lacking})' if lacking else ''}; lower "
-            "stations.min_stations_per_target or stations.spacing_mm, or widen the floor"
+            "stations.min_stations_per_target or stations.spacing_mm, or enlarge the floor"
         )
 
     def _bound(self, layout: NormalBlocks) -> NormalBlocks:
-        """A layout with stations exchanged for those that connect most of the network, until it is determined."""
+        """Layout in which stations are exchanged for better connected ones until the network is determined."""
         for slot in self._free * 2:
             table = self.table(slot)
             position, visible = _with_each(layout, slot, table)
@@ -243,7 +246,7 @@ class LayoutSearcher:
         return layout
 
     def from_start(self, seed: int, start: int) -> PlannedLayout:
-        """Result of a start: number 0 begins at the site's declared layout if that is allowed, the others at random."""
+        """Result of a start: number 0 begins at the declared layout if that is permitted, the others at random."""
         rng = stream(seed, "plan", self.stations, start)
         current = self.site.survey.position, self.site.survey.yaw
         begins_there = start == 0 and np.isfinite(self.evaluate(*current).value)
@@ -257,7 +260,7 @@ class LayoutSearcher:
 
 
 def _with_each(layout: NormalBlocks, slot: int, candidates: NormalBlocks) -> tuple[Floats, Bools]:
-    """Places (N, S, 3) and sights (N, S, T) of the layout with each candidate as station `slot`."""
+    """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate as station `slot`."""
     count = len(candidates.position)
     position: Floats = np.repeat(layout.position[None], count, axis=0)
     visible: Bools = np.repeat(layout.visible[None], count, axis=0)

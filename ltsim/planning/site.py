@@ -1,7 +1,7 @@
-"""Candidate places of stations and reflectors, and the rules of a layout: floor, heights, obstacles, sights, spacing.
+"""Search space of a plan: candidate places, and the rules of a layout (floor, heights, obstacles, sights, spacing).
 
-`SearchSpace.feasible` is the test of the search for many layouts at once, `SearchSpace.broken_rules` names the rules
-that a single layout breaks; both are made of the same functions.
+`SearchSpace.feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` names the rules that a single
+layout breaks. Both use the same functions.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
 from ltsim.core.values import ValueEquality
 from ltsim.planning.survey import Survey
-from ltsim.scene.floor import Area, KeepOut, may_stand, objection, over
+from ltsim.scene.floor import Area, KeepOut, grid_over, may_stand, reason_against
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
 
-FEWEST = 3
-"""Targets in sight that a station needs."""
-TOUCH = 1e-3
-"""[m] Distance within which a station and a point coincide."""
-SLACK = 1e-9
-"""[m] Tolerance of the minimum spacing of two stations, for rounding."""
+MIN_TARGETS = 3
+"""Smallest number of visible targets of a station."""
+COINCIDENCE_M = 1e-3
+"""Distance [m] within which a station and a point coincide."""
+SPACING_TOLERANCE = 1e-9
+"""Tolerance [m] of the minimum spacing of two stations, for rounding."""
 NEST_STEPS = 60
 NEST_MARGIN = 0.004
-"""Steps of the iteration that aims fixed nests, and what is kept free for it [rad]."""
-MOST_NAMED = 8
-DRAWS = 24
-"""Places that are looked at for a station of a random placement."""
-NODES = 3000
-"""Limit on the nodes of the branch-and-bound tree; a few are enough in the halls that were tried."""
-TIE = 1e-4
-"""Random costs of places, small against that of a missing sight: another answer for each draw."""
+"""Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
+MAX_NAMED = 8
+PLACEMENT_DRAWS = 24
+"""Number of random places that are tried for a station of a random placement."""
+MAX_NODES = 3000
+"""Largest number of nodes in the branch-and-bound tree; a few were sufficient in all halls that were tried."""
+RANDOM_COST = 1e-4
+"""Size of the random costs of places that vary the result; they are small compared with the cost of a missing sight."""
 
 
 class BrokenRule(NamedTuple):
-    """A rule of the plan that a layout breaks."""
+    """Rule of the plan that a layout breaks."""
 
     words: str
-    """A sentence without its full stop, with the numbers and the key of the plan file."""
+    """Sentence without its full stop, with the numbers and the key of the plan file."""
     stations: tuple[str, ...] = ()
-    """Stations whose places break it; none where it is about sights."""
+    """Stations whose positions break it; empty for a rule about sights."""
 
 
 def words_of(rules: Sequence[BrokenRule]) -> str:
@@ -56,19 +56,19 @@ def words_of(rules: Sequence[BrokenRule]) -> str:
 
 
 def too_near(position: Floats, spacing: float) -> Bools:
-    """Pairs of stations of layouts (B, S, 3) [m] nearer than the spacing [m] seen from above, once each, (B, S, S)."""
+    """Flags (B, S, S), once per pair, of stations of layouts (B, S, 3) [m] nearer than the horizontal spacing [m]."""
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
-    return np.asarray(np.triu(gap <= spacing - SLACK, 1))
+    return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
 
 
 def short_of_sights(visible: Bools, least: int) -> Bools:
-    """Targets that fewer than `least` stations see; `visible` is (B, S, T), (B, T)."""
+    """Flags (B, T) of the targets that fewer than `least` stations see; `visible` is (B, S, T)."""
     return np.asarray(visible.sum(axis=1) < least)
 
 
 def short_of_targets(visible: Bools) -> Bools:
-    """Stations that see fewer than `FEWEST` targets; `visible` is (B, S, T), (B, S)."""
-    return np.asarray(visible.sum(axis=2) < FEWEST)
+    """Flags (B, S) of the stations that see fewer than `MIN_TARGETS` targets; `visible` is (B, S, T)."""
+    return np.asarray(visible.sum(axis=2) < MIN_TARGETS)
 
 
 @dataclass(frozen=True)
@@ -76,44 +76,44 @@ class SearchSpace(ValueEquality):
     """Search space of a plan: allowed places of stations and reflectors, and the sights that a layout must have."""
 
     survey: Survey
-    """The layout to start from: targets, gauge, noise, order of work."""
+    """Initial layout: targets, gauge, noise, order of measurement."""
     areas: tuple[Area, ...]
-    """Allowed areas of tripods."""
+    """Areas where tripods may stand."""
     limits: SightLimits
     aimed: Bools
-    """Targets in fixed nests, which are aimed anew for every layout and must serve all its stations, (T,)."""
+    """Flags (T,) of the targets in fixed nests, which are aimed for every layout and must serve all its stations."""
     obstacles: Obstacles | None = None
     keep_outs: tuple[KeepOut, ...] = ()
-    """Areas forbidden for tripods, even inside `areas`."""
+    """Areas where no tripod may stand, even inside `areas`."""
     spacing: float = 1.0
-    """[m]: least distance between stations."""
+    """Smallest distance between stations [m]."""
     position_tolerance: float = 0.0
-    """[m]: largest offset of an instrument from its place at which every sight is still free."""
+    """Largest offset [m] of an instrument from its planned position at which every sight is still free."""
     min_sights: int = 1
-    """Minimum number of stations that see each target."""
+    """Smallest number of stations that see each target."""
     fixed: tuple[int, ...] = ()
-    """Stations that stay where they are."""
+    """Indices of the stations that do not move."""
     nests: Floats | None = None
-    """Candidate places of reflectors; none: reflectors stay, (P, 3) [m]."""
+    """Candidate places of reflectors, (P, 3) [m]; None if reflectors do not move."""
     nest_names: tuple[str, ...] = ()
     reflector_spacing: float = 0.3
-    """[m]."""
+    """Smallest distance between reflectors [m]."""
 
     @property
     def heights(self) -> tuple[float, float]:
-        """[m]: lowest and highest centre of the instrument in any area."""
+        """Lowest and highest centre of the instrument in any area [m]."""
         return min(area.heights[0] for area in self.areas), max(area.heights[1] for area in self.areas)
 
     def replace(self, **changes: Any) -> SearchSpace:
-        """A copy with some fields changed."""
+        """Copy with other values of some fields."""
         return replace(self, **changes)
 
     def allowed(self, position: Floats) -> Bools:
-        """A tripod may stand there, (N,)."""
+        """Flags (N,) of the positions at which a tripod may stand."""
         return may_stand(self.areas, self.keep_outs, self.obstacles, position)
 
     def visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """Visible targets within the position tolerance; nests are aimed later and not tested, (N, T)."""
+        """Flags (N, T) of the targets visible within the position tolerance; nests are aimed later and not tested."""
         goal = self.survey.points if points is None else points
         table = visibility(position, goal, self.limits, obstacles=self.obstacles)
         turn = self.position_tolerance / table.range_
@@ -125,12 +125,12 @@ class SearchSpace(ValueEquality):
         if self.obstacles is not None and self.position_tolerance:
             s, t = np.nonzero(good)
             good[s, t] = ~self.obstacles.blocked_near(
-                position[s], self.obstacles.over_skin(goal)[t], self.position_tolerance
+                position[s], self.obstacles.moved_to_surface(goal)[t], self.position_tolerance
             )
         return good
 
     def feasible(self, position: Floats, visible: Bools) -> Bools:
-        """Layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `visible` (B, S, T), (B,)."""
+        """Flags (B,) of the layouts (B, S, 3) that meet all rules (spacing, targets, nests); `visible` is (B, S, T)."""
         good: Bools = np.asarray(~short_of_sights(visible, self.min_sights).any(axis=1))
         good &= ~short_of_targets(visible).any(axis=1)
         good &= ~too_near(position, self.spacing).any(axis=(1, 2))
@@ -139,17 +139,17 @@ class SearchSpace(ValueEquality):
         return good
 
     def broken_rules(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """All rules that a layout breaks, those of places first; none for a layout that the search would take."""
+        """All rules that a layout breaks, those of positions first; empty for a layout that the search permits."""
         return (*self.broken_places(survey), *self.broken_sights(survey))
 
     def broken_places(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """Rules that the places of stations break, regardless of sights."""
+        """Rules that the positions of stations break, without those on sights."""
         names, position = survey.station_names, survey.position
         rules = []
         for name, place in zip(names, position, strict=True):
-            if why := objection(self.areas, self.keep_outs, self.obstacles, place):
+            if why := reason_against(self.areas, self.keep_outs, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
-        for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < TOUCH).tolist():
+        for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < COINCIDENCE_M).tolist():
             rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
         for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
@@ -158,7 +158,7 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def broken_sights(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """Rules that the sights of a layout break, by its `visible`."""
+        """Rules on sights that a layout breaks, from its `visible`."""
         visible, targets, rules = survey.visible[None], survey.target_names, []
         few = [targets[t] for t in np.flatnonzero(short_of_sights(visible, self.min_sights)[0])]
         if few:
@@ -166,29 +166,29 @@ class SearchSpace(ValueEquality):
                 "is" if len(few) == 1 else "are",
                 f"{self.min_sights} station{'s' if self.min_sights > 1 else ''}",
             )
-            named = listing(few, MOST_NAMED)
+            named = listing(few, MAX_NAMED)
             rules.append(
                 BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
             )
         for s in np.flatnonzero(short_of_targets(visible)[0]):
             count = int(survey.visible[s].sum())
-            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {FEWEST}"))
+            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {MIN_TARGETS}"))
         if self.aimed.any():
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.aimed)]
             turned = [name for name, ok in zip(aimed, self._served(survey.position[None])[0], strict=True) if not ok]
             if turned:
-                words = f"no fixed nest of {listing(turned, MOST_NAMED)} returns the beam to all stations"
+                words = f"no fixed nest of {listing(turned, MAX_NAMED)} returns the beam to all stations"
                 rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
         return tuple(rules)
 
     def connectivity(self, visible: Bools) -> Floats:
-        """Number of stations connected to the first by two shared targets, plus the mean of shared targets, (B,)."""
-        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), FEWEST)
+        """Number of stations connected to the first by two common targets, plus mean number of common targets, (B,)."""
+        shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), MIN_TARGETS)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
-        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))
+        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_TARGETS + 1))
 
     def _served(self, position: Floats) -> Bools:
-        """Fixed nests that can be aimed so that all stations fall within the reflector's acceptance, (B, N)."""
+        """Flags (B, N) of the fixed nests that can be aimed so that all stations are within the acceptance angle."""
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
@@ -196,59 +196,59 @@ class SearchSpace(ValueEquality):
         return np.asarray(incidence.max(axis=2) < self.limits.acceptance - NEST_MARGIN)
 
     def out_of_sight(self, hidden: Ints) -> str:
-        """A sentence on targets that no place on the floor sees, and what helps."""
+        """Sentence on targets that no place on the floor sees, with a remedy."""
         held = hidden[self.obstacles.holds(self.survey.points[hidden])] if self.obstacles else hidden[:0]
         names, within = ([self.survey.target_names[t] for t in indices] for indices in (hidden, held))
         low, high = (1e3 * height for height in self.heights)
-        cure = "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
+        cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
         if within:
             lie = "lies" if len(within) == 1 else "lie"
-            cure = f"{listing(within, MOST_NAMED)} {lie} inside an obstacle: move points or bodies"
-        return f"no place on the floor sees {listing(names, MOST_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
+            cure = f"{listing(within, MAX_NAMED)} {lie} inside an obstacle: move points or bodies"
+        return f"no place on the floor sees {listing(names, MAX_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
 
     def unseen_targets(self, placement: Placement, chosen: list[int]) -> str:
-        """Targets that stations at places of a placement leave with too few sights, in words; empty for none."""
+        """Text of the targets with too few sights from stations at places of a placement; empty for none."""
         few = np.flatnonzero(placement.missing(chosen, self.min_sights))
-        return listing([self.survey.target_names[t] for t in few], MOST_NAMED) if len(few) else ""
+        return listing([self.survey.target_names[t] for t in few], MAX_NAMED) if len(few) else ""
 
     def places(self, step: float, heights: int) -> Floats:
-        """Places (N, 3) of a grid where a tripod may stand."""
-        grid = np.concatenate([over(area, step, heights) for area in self.areas])
+        """Places (N, 3) [m] of a grid at which a tripod may stand."""
+        grid = np.concatenate([grid_over(area, step, heights) for area in self.areas])
         return np.unique(grid[self.allowed(grid)], axis=0)
 
     def placement(self, step: float, heights: int) -> Placement:
-        """The greedy placement on a grid, at places in sight of three targets; fixed stations stand already.
+        """Greedy placement on a grid of places from which three targets are visible; fixed stations are included.
 
-        Raises SetupError where there is no such place.
+        Raises SetupError if there is no such place.
         """
         places, fixed = self.places(step, heights), self.survey.position[list(self.fixed)]
         visible = self.visible(places)
-        enough = visible.sum(axis=1) >= FEWEST
+        enough = visible.sum(axis=1) >= MIN_TARGETS
         if not enough.any():
-            raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+            raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
         return Placement(places[enough], visible[enough], self.spacing, fixed, counted)
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Candidate places of stations, with those that stand already."""
+    """Candidate places of stations, in addition to the fixed stations."""
 
     position: Floats
-    """(N, 3) [m]: where a station may stand."""
+    """Candidate places, (N, 3) [m]."""
     visible: Bools
-    """Targets in sight from there, (N, T)."""
+    """Visibility flags of the targets from each place, (N, T)."""
     spacing: float
-    """[m]: least distance between two stations, seen from above."""
+    """Smallest horizontal distance between two stations [m]."""
     standing: Floats
-    """Stations that stay, (F, 3) [m]."""
+    """Positions of the fixed stations, (F, 3) [m]."""
     counted: Ints
-    """(T,): how many of those see each target."""
+    """Number of fixed stations that see each target, (T,)."""
 
     def stations(self, count: int, wanted: int, rng: np.random.Generator | None = None) -> list[int]:
-        """Places of `count` stations from which each target is seen `wanted` times, or with the fewest sights missing.
+        """Places of `count` stations that give each target `wanted` sights, or the fewest missing sights.
 
-        With `rng` each station is put at the best of a few random places: another answer for each draw.
+        With `rng` each station is at the best of a few random places, so that each draw gives another result.
         """
         chosen: list[int] = []
         while len(chosen) < count and (place := self._best(chosen, wanted, rng)) >= 0:
@@ -258,13 +258,16 @@ class Placement:
         return self._exact(count, wanted, rng) or chosen
 
     def missing(self, chosen: list[int], wanted: int) -> Ints:
-        """(T,): how many sights of each target are missing until it is seen `wanted` times."""
+        """Number of missing sights of each target, (T,), until it has `wanted`."""
         return np.asarray(np.maximum(wanted - self.counted - self.visible[chosen].sum(axis=0), 0))
 
     def _best(self, others: list[int], wanted: int, rng: np.random.Generator | None) -> int:
-        """The place that adds most to the others, further sights counted a little; -1 where none is allowed."""
+        """Place that adds most sights to the others, with a small weight for sights beyond the wanted number.
+
+        It is -1 if none is permitted.
+        """
         count = len(self.position)
-        rows = np.arange(count) if rng is None else rng.integers(count, size=min(DRAWS, count))
+        rows = np.arange(count) if rng is None else rng.integers(count, size=min(PLACEMENT_DRAWS, count))
         had = self.counted + self.visible[others].sum(axis=0)
         worth = (np.minimum(had + self.visible[rows], wanted) - np.minimum(had, wanted)).sum(axis=1).astype(np.float64)
         worth += 1e-3 * (self.visible[rows] / (1.0 + had) ** 2).sum(axis=1)
@@ -273,7 +276,7 @@ class Placement:
         return int(rows[np.argmax(worth)]) if worth.max(initial=-1.0) >= 0.0 else -1
 
     def _exact(self, count: int, wanted: int, rng: np.random.Generator | None) -> list[int]:
-        """The places with the fewest missing sights of all combinations; empty where none keep their distance."""
+        """Places with the fewest missing sights among all combinations; empty if no combination keeps the spacing."""
         places, targets = self.visible.shape
         gap = np.linalg.norm(self.position[:, None, :2] - self.standing[None, :, :2], axis=2)
         free = (gap >= self.spacing).all(axis=1)
@@ -289,12 +292,12 @@ class Placement:
         ]
         if len(first):
             limits.append(LinearConstraint(sp.hstack([pairs, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
-        cost = np.zeros(places) if rng is None else TIE * rng.random(places)
+        cost = np.zeros(places) if rng is None else RANDOM_COST * rng.random(places)
         solution = milp(
             np.r_[cost, np.ones(targets)],
             constraints=limits,
             integrality=np.r_[np.ones(places), np.zeros(targets)],
             bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted))]),
-            options={"node_limit": NODES},
+            options={"node_limit": MAX_NODES},
         )
         return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()

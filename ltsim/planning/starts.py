@@ -1,4 +1,4 @@
-"""Searches from many starts, in one process or in several: the layouts that they find for each way of working."""
+"""Searches from many starts, in one or several processes, and their layouts for each procedure."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,11 +23,11 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
 ROUNDS = 2
-"""Times stations and reflectors are chosen in turn."""
-SAYS = 5.0
+"""Number of times that stations and reflectors are chosen alternately."""
+REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
-WORTH = 0.01
-"""Relative improvement of the objective from which a layout is reported."""
+MIN_REPORTED_GAIN = 0.01
+"""Smallest relative improvement of the objective at which a layout is reported."""
 
 Layout = tuple[float, Survey]
 """Value and survey of a layout."""
@@ -37,7 +37,7 @@ Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
 
 @dataclass(frozen=True)
 class SearchTask:
-    """A search, as a task for a worker."""
+    """Search as a task for a worker process."""
 
     stations: int
     faces: int
@@ -53,7 +53,7 @@ class PlanningProblem:
 
     @property
     def built(self) -> Construction:
-        """The construction whose parameters are meant."""
+        """Construction whose parameters are estimated."""
         return planned_construction(self.scenario)
 
     def site(self, task: SearchTask) -> SearchSpace:
@@ -63,7 +63,7 @@ class PlanningProblem:
     def searcher(
         self, site: SearchSpace, tell: Callable[[float], None] = quiet, keep: Callable[[PlannedLayout], None] = quiet
     ) -> LayoutSearcher:
-        """The search on a site for the file's objective."""
+        """Search in a search space for the file's objective."""
         settings, objective = self.file.search, objective_of(self.file, site.survey)
         step = grid_step(site.areas, settings.grid_mm)
         return LayoutSearcher(site, objective, self.built, step, settings.yaws, settings.heights, tell, keep)
@@ -76,10 +76,10 @@ def gathered(
     share: Callable[[float], None],
     keep: Callable[[Survey, float], None],
 ) -> tuple[Layouts, bool]:
-    """Layouts of searches, and True where Ctrl-C ended them; results arrive as the searches end.
+    """Layouts of all searches, and True if Ctrl-C ended them; results are collected as searches end.
 
-    `share` receives the share of the whole that is done, `keep` each better layout and its value. With one job the
-    search runs in this process: it reports its progress too, and Ctrl-C keeps its best layout so far.
+    `share` is called with the finished fraction, `keep` with each better layout and its objective. With one job the
+    search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
     """
     best: dict[int, Layout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
@@ -87,12 +87,12 @@ def gathered(
     def better(number: int, value: float, survey: Survey) -> None:
         nonlocal reported, last
         best[number] = value, survey
-        if value < reported * (1 - WORTH) and monotonic() - last >= SAYS:
+        if value < reported * (1 - MIN_REPORTED_GAIN) and monotonic() - last >= REPORT_INTERVAL:
             reported, last = value, monotonic()
             keep(survey, value)
 
     def running(number: int) -> tuple[Callable[[float], None], Callable[[PlannedLayout], None]]:
-        """Callbacks of a search in this process: share that is done, better layout."""
+        """Callbacks of a search in this process: finished fraction, better layout."""
         site = problem.site(tasks[number])
         return (
             lambda part: share((finished + part) / len(tasks)),
@@ -124,7 +124,7 @@ def _task(
     tell: Callable[[float], None] = quiet,
     keep: Callable[[PlannedLayout], None] = quiet,
 ) -> tuple[int, Layout | None]:
-    """Layout of one start; None where the rules allow none, or ranges from so few stations determine none."""
+    """Layout of one start; None if the rules permit none, or if ranges from too few stations determine none."""
     try:
         return number, search_from_start(problem, task, tell, keep)
     except (SetupError, NetworkError):
@@ -132,7 +132,7 @@ def _task(
 
 
 def _task_of_worker(problem: PlanningProblem, task: SearchTask, number: int) -> tuple[int, Layout | None]:
-    """Layout of one start in a worker process, where Ctrl-C is left to the process that gathers."""
+    """Layout of one start in a worker process, which ignores Ctrl-C and leaves it to the main process."""
     signal(SIGINT, SIG_IGN)
     return _task(problem, task, number)
 
@@ -143,7 +143,7 @@ def search_from_start(
     tell: Callable[[float], None] = quiet,
     keep: Callable[[PlannedLayout], None] = quiet,
 ) -> Layout:
-    """Result of a start: stations, then reflectors where these are free, and stations again."""
+    """Layout of a start: search of stations, of reflectors if these are movable, and of stations again."""
     site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
     rounds, done = 1 if stays.all() else 1 + ROUNDS, 0
     searcher = problem.searcher(site, lambda share: tell((done + share) / rounds), keep)

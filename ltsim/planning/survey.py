@@ -1,4 +1,4 @@
-"""Planned survey: places of stations, targets, pointings and their cost, before any measurement."""
+"""Planned survey: positions of stations and targets, pointings and their cost, before measurement."""
 
 from __future__ import annotations
 
@@ -22,38 +22,40 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class Survey:
-    """Upright stations, targets, and the pointings between them."""
+    """Survey with upright stations, targets, and the pointings between them."""
 
     setup: Setup
-    """Noise, priors, gauge, nests: the declarations of a recording of this survey."""
+    """Set-up of the survey: noise, priors, gauge, nests, as in a recording."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     position: Floats
     """Centre of each instrument, (S, 3) [m]."""
     yaw: Floats
-    """Turn of each instrument about the vertical, (S,) [rad]."""
+    """Yaw of each instrument, (S,) [rad]."""
     points: Floats
-    """(T, 3) [m]."""
+    """Coordinates of the targets, (T, 3) [m]."""
     visible: Bools
-    """(S, T): which targets are measured from which station."""
+    """Flags (S, T) of the targets that each station measures."""
     faces: tuple[int, ...] = (1, 2)
-    """1 and/or 2."""
+    """Faces that are measured: 1, 2 or both."""
     repeats: int = 1
-    """Pointings of each target on each face."""
+    """Number of pointings to each target on each face."""
     seconds_per_pointing: float = 10.0
     seconds_per_move: float = 1200.0
-    """[s] Time to carry the instrument and set it up, per station."""
+    """Time [s] to move the instrument and set it up, per station."""
     rank: Ints | None = None
-    """Place of each target in each station's visit; default as listed, (S, T)."""
+    """Rank of each target in each station's visit, (S, T); default as listed."""
     face_by_face: bool = True
-    """All targets on one face, then on the other; else both faces of each target at once."""
+    """True if all targets are measured on one face and then on the other; False if both faces of each target follow
+    each other.
+    """
     observables: tuple[str, ...] = OBSERVABLES
-    """Observables of each pointing: range and both angles, or the distance alone."""
+    """Observables of each pointing: range and both angles, or the range alone."""
     importance: Mapping[str, float] = field(default_factory=dict)
-    """Weight of targets by name in the root mean square of point errors; one where not named."""
+    """Weight of targets by name in the root mean square of point errors; default 1."""
 
     air: Air | None = None
-    """Air that a search counts; none where no sight can be long enough. Figures of a layout take that of the set-up."""
+    """Air that a search includes; None if no line of sight can be long enough. Final results use that of the set-up."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
@@ -66,7 +68,7 @@ class Survey:
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def noise(self, sightings: Sightings) -> Floats:
-        """Nominal standard deviations (n, 3) [m, rad, rad] of the readings, without that of the air."""
+        """Nominal standard deviations (n, 3) [m, rad, rad] of the readings, without the air."""
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
@@ -77,12 +79,12 @@ class Survey:
 
     @property
     def seconds(self) -> float:
-        """[s] Duration of the whole work: set-up and pointings of every station."""
+        """Duration [s] of the whole measurement: set-up and pointings of every station."""
         return self.pointings * self.seconds_per_pointing + len(self.position) * self.seconds_per_move
 
     @property
     def words(self) -> str:
-        """Extent and duration of the work, in a line."""
+        """Text of extent and duration of the measurement, in one line."""
         faces = "both faces" if len(self.faces) == 2 else f"face {self.faces[0]}"
         rounds = "once" if self.repeats == 1 else f"{self.repeats} times"
         return (
@@ -92,17 +94,17 @@ class Survey:
 
     @property
     def used(self) -> Bools:
-        """(3,): which of range, azimuth and elevation are recorded."""
+        """Flags (3,) of the recorded observables: range, azimuth, elevation."""
         return np.array([name in self.observables for name in OBSERVABLES])
 
     @property
     def is_whole(self) -> bool:
-        """Ranges with both angles, not ranges alone."""
+        """True for ranges with both angles, False for ranges alone."""
         return bool(self.used.all())
 
     @property
     def weight(self) -> Floats:
-        """(T,): how much the squared error of each target counts, one on average."""
+        """Weight (T,) of each target's squared error, with mean one."""
         weight = np.array([self.importance.get(name, 1.0) for name in self.target_names], dtype=np.float64)
         return weight / weight.mean() if weight.any() else np.ones_like(weight)
 
@@ -112,16 +114,16 @@ class Survey:
         return np.stack([about_z(float(yaw)) for yaw in self.yaw])
 
     def state(self, construction: Construction) -> State:
-        """The nominal state: a perfect instrument at the planned places."""
+        """Nominal state: a perfect instrument at the planned positions."""
         empty = self._empty()
         values = np.zeros((len(empty.instruments), construction.size))
         errors = np.zeros(MeasurementModel(empty, construction).extra_size)
         return State(self.position, self.rotation, self.points, values, errors)
 
     def recording(self, construction: Construction) -> Recording:
-        """The recording of a perfect instrument without noise.
+        """Recording of a perfect instrument without noise.
 
-        Station by station in the order of the work, the whole visit again for repeats.
+        Rows are in the order of measurement, station by station; a repeat is another complete visit.
         """
         empty = self._empty()
         readings = MeasurementModel(empty, construction).predict(self.state(construction))
@@ -129,7 +131,7 @@ class Survey:
         return empty.with_readings(readings)
 
     def turn(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """Place of pointings in the first round of their station's visit, from 0, (n,)."""
+        """Rank (n,) of pointings in the first round of their station's visit, from 0."""
         rank = target if self.rank is None else self.rank[station, target]
         number = np.searchsorted(np.sort(self.faces), face)
         if self.face_by_face:
@@ -138,7 +140,7 @@ class Survey:
 
     @property
     def _placed_setup(self) -> Setup:
-        """The set-up with its stations where the survey has them: their rough places tell how nests look."""
+        """Set-up with the survey's positions of the stations, which determine the directions of nests."""
         places = zip(
             self.station_names, (self.position / MILLIMETRE).tolist(), np.degrees(self.yaw).tolist(), strict=True
         )
@@ -179,7 +181,7 @@ class Survey:
         )
 
     def only(self, targets: Bools) -> Survey:
-        """The survey with some of its targets only."""
+        """Survey with a selection of its targets."""
         if targets.all():
             return self
         return self.replace(
@@ -190,5 +192,5 @@ class Survey:
         )
 
     def replace(self, **changes: Any) -> Survey:
-        """A copy with some fields changed."""
+        """Copy with other values of some fields."""
         return replace(self, **changes)

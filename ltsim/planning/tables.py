@@ -1,4 +1,4 @@
-"""Tables of plans, each declared once: CSV, data frame, terminal and page."""
+"""Tables of plans, declared once for CSV, data frame, terminal and page."""
 
 from ltsim.core.results import Column, Table, columns_of, flags, numbers, texts
 from ltsim.core.units import DEGREE, MILLIMETRE
@@ -12,7 +12,7 @@ STATIONS = Table(
     (
         *texts(station="name"),
         *numbers(shown=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
-        *numbers(shown=".0f", yaw_deg="where azimuth zero looks to"),
+        *numbers(shown=".0f", yaw_deg="direction of azimuth zero"),
         *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
         *numbers(visible_reflectors="number of visible reflectors"),
     ),
@@ -35,7 +35,7 @@ PARAMETERS = Table(
     (
         *texts(parameter="name", unit="of the sigmas"),
         *numbers(sigma="expected", sigma_reference="with the stations of the scenario", prior_sigma="without data"),
-        *numbers(gain="share of the prior variance that the data remove"),
+        *numbers(gain="fraction of the prior variance that the data remove"),
     ),
 )
 VISIBILITY = Table(
@@ -63,25 +63,25 @@ WORK = Table(
 )
 SETUPS = Table(
     "setups.csv",
-    "places of the tripods by tape",
+    "tape measurements to the places of the tripods",
     (
         *texts(station="name"),
         *(
-            Column(f"tape_{i}", "distance and its end; two set the place, the third checks it", "text")
+            Column(f"tape_{i}", "distance and its end point; two define the place, the third checks it", "text")
             for i in (1, 2, 3)
         ),
         Column("towards", "direction of azimuth zero", "text", title="azimuth zero looks"),
-        Column("height_m", "of the centre of the head over the floor", shown=".2f", title="head over floor"),
+        Column("height_m", "height of the centre of the head above the floor", shown=".2f", title="head over floor"),
     ),
 )
 TRADEOFF = Table(
     "tradeoff.csv",
-    "ways of working, each with the best layout found for it",
+    "ways of working, each with its best layout",
     (
         *columns_of(OptionEntry, "stations faces repeats pointings hours"),
         *columns_of(OptionEntry, "value", value={"title": "objective"}),
-        Column("value_um", "objective, where it is the error of the targets alone", title="objective"),
-        *columns_of(OptionEntry, "efficient", efficient={"title": "best in its time"}),
+        Column("value_um", "objective, if it is only the error of the targets", title="objective"),
+        *columns_of(OptionEntry, "efficient", efficient={"title": "best layout in its time"}),
     ),
 )
 EFFECTS = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
@@ -91,7 +91,7 @@ TOLERANCES = Table(
     (
         *texts(point="name"),
         *numbers(shown=".5g", within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
-        *texts(used="error over limit, with enough digits to show on which side of the limit it is"),
+        *texts(used="error divided by the limit, with enough digits to show its side of the limit"),
         *flags(met="the tolerance is met"),
     ),
 )
@@ -129,17 +129,17 @@ EXPECTED = Table(
     ),
 )
 CONFUSABLE = Table(
-    "confusable.csv", "pairs of effects that the layout can hardly distinguish", columns_of(ConfusablePair)
+    "confusable.csv", "pairs of effects that the layout hardly distinguishes", columns_of(ConfusablePair)
 )
 TABLES = (
     NOMINALS, WORK, STATIONS, REFLECTORS, TOLERANCES, LOSSES, TRADEOFF, PARAMETERS, EXPECTED, CHANGES, EFFECTS,
     CONFUSABLE, VISIBILITY,
 )  # fmt: skip
-"""Tables written with plan.json."""
+"""Tables that are written with plan.json."""
 
 
 def visibility_table(layout: LayoutEvaluation) -> Table:
-    """`visibility.csv`: every pair of a station and a target."""
+    """Table `visibility.csv`: every pair of station and target."""
     words, table, survey = layout.table.words(), layout.table, layout.survey
     return VISIBILITY.filled(
         [
@@ -152,7 +152,7 @@ def visibility_table(layout: LayoutEvaluation) -> Table:
 
 
 def work_table(plan: PlannedNetwork) -> Table:
-    """`work-order.csv`: every pointing with the readings of a perfect instrument at its place."""
+    """Table `work-order.csv`: every pointing with the readings of a perfect instrument."""
     recording = plan.chosen.survey.recording(plan.chosen.information.construction)
     return WORK.filled(
         [

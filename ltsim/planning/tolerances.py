@@ -1,4 +1,4 @@
-"""Tolerances of points: limits of their errors, checks of a layout, and checks after a loss of a station or sight."""
+"""Tolerances of points: limits of their errors, checks of a layout, checks after the loss of a station or sight."""
 
 from __future__ import annotations
 
@@ -18,46 +18,46 @@ from ltsim.planning.site import BrokenRule, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 
-LOOSE = 10.0
-"""Factor on the widest tolerance that gives points without a tolerance theirs in the objective."""
-LEAST_WEIGHT = 1e-6
-MOST_NAMED = 5
+DEFAULT_TOLERANCE_FACTOR = 10.0
+"""Factor on the widest tolerance that gives the tolerance of points without one in the objective."""
+MIN_WEIGHT = 1e-6
+MAX_NAMED = 5
 SIGHT = "the sight"
 """First words of the name of a lost sight."""
 UNDETERMINED = "the network no longer determines its points"
-"""Description of a network with free motions left."""
+"""Text for a network with undetermined motions."""
 
 
-def keeps(ratio: float) -> bool:
-    """True where an error keeps its tolerance: `ratio` is the error over the tolerance, neither of them rounded."""
+def is_met(ratio: float) -> bool:
+    """True if an error meets its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
     return ratio <= 1.0
 
 
-def against(value: float, limit: float, digits: int = 3) -> str:
-    """A value with the fewest digits, from `digits` on, that show on which side of its limit it is."""
+def text_near_limit(value: float, limit: float, digits: int = 3) -> str:
+    """Text of a value with the fewest digits (at least `digits`) that show on which side of its limit it is."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
 
 def percent(ratio: float) -> str:
-    """An error over its tolerance in per cent: `100.4 %` for one that is 0.4 % too large."""
-    return f"{against(100.0 * ratio, 100.0)} %"
+    """Ratio of error to tolerance as text: `100.4 %` for one that is 0.4 % too large."""
+    return f"{text_near_limit(100.0 * ratio, 100.0)} %"
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Tolerances of points, their confidence level, and the loss that they must withstand."""
+    """Tolerances of points, their confidence level, and the loss after which they must be met."""
 
     tolerance: Mapping[str, float]
-    """[m]: by point."""
+    """Tolerance of each point [m], by name."""
     level: float = 0.95
-    """Confidence level: share of cases in which a point must be within its tolerance."""
+    """Confidence level: fraction of cases in which a point must be within its tolerance."""
     robust: str = "no"
     """Loss after which all tolerances must still be met: `sight` or `station`; `no` for none."""
 
     @classmethod
     def of(cls, file: PlanFile) -> Tolerances:
-        """Tolerances of a plan file: that of the point, else the tightest of its group or of all points."""
+        """Tolerances of a plan file: that of the point, else the smallest one of its group or of all points."""
         limits = {}
         for point in file.listed:
             named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
@@ -71,22 +71,20 @@ class Tolerances:
 
 
 def importance(file: PlanFile) -> dict[str, float]:
-    """Weights of a plan's points: their own, over the squares of their tolerances."""
+    """Weights of a plan's points, divided by the squares of their tolerances."""
     demands = Tolerances.of(file)
     if not demands:
-        return {p.name: max(p.weight, LEAST_WEIGHT) for p in file.listed if p.weight != 1.0}
-    tight, wide = min(demands.tolerance.values()), LOOSE * max(demands.tolerance.values())
-    return {
-        p.name: max(p.weight * (tight / demands.tolerance.get(p.name, wide)) ** 2, LEAST_WEIGHT) for p in file.listed
-    }
+        return {p.name: max(p.weight, MIN_WEIGHT) for p in file.listed if p.weight != 1.0}
+    tight, wide = min(demands.tolerance.values()), DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance.values())
+    return {p.name: max(p.weight * (tight / demands.tolerance.get(p.name, wide)) ** 2, MIN_WEIGHT) for p in file.listed}
 
 
 def radius(covariance: Floats, level: float) -> Floats:
-    """Distance (T,) that the errors of points with covariances (T, 3, 3) keep within in a share `level` of cases.
+    """Radius (T,) that errors of points with covariances (T, 3, 3) do not exceed with probability `level`.
 
     The squared length of a normal error is a weighted sum of chi-squares; its quantile is that of the scaled chi-square
     with the same mean and variance (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114), which is exact for errors
-    along one axis, in a plane alike and in space alike.
+    along one axis and for isotropic errors in a plane or in space.
     """
     mean = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
@@ -96,48 +94,48 @@ def radius(covariance: Floats, level: float) -> Floats:
 
 @dataclass(frozen=True)
 class ToleranceCheck:
-    """Check of a layout against its tolerances, whole or after a loss."""
+    """Check of a layout against its tolerances, complete or after a loss."""
 
     lost: str
-    """Lost station or sight; empty for the whole layout."""
+    """Text of the lost station or sight; empty for the complete layout."""
     tolerance: Mapping[str, float]
-    """[m]: by point."""
+    """Tolerance of each point [m], by name."""
     radius: Mapping[str, float]
-    """[m]: error at the confidence level of each determined point with a tolerance."""
+    """Error [m] at the confidence level of each determined point with a tolerance."""
     ratio: float
-    """Largest radius over tolerance; infinite where a point is not determined."""
+    """Largest ratio of radius to tolerance; infinite if a point is undetermined."""
     worst: str
-    """The point with that ratio."""
+    """Point with the largest ratio."""
     unseen: tuple[str, ...] = ()
     """Points with a tolerance that no station sees."""
 
     @property
     def good(self) -> bool:
-        """All tolerances are met."""
-        return keeps(self.ratio)
+        """True if all tolerances are met."""
+        return is_met(self.ratio)
 
     @property
     def of_sight(self) -> bool:
-        """A sight is lost, not a station."""
+        """True if the loss is a sight and not a station."""
         return self.lost.startswith(SIGHT)
 
     @property
     def over(self) -> list[str]:
         """Determined points whose errors exceed their tolerances."""
-        return [name for name in self.radius if not keeps(self.used(name))]
+        return [name for name in self.radius if not is_met(self.used(name))]
 
     def used(self, name: str) -> float:
-        """Error of a point over its tolerance."""
+        """Ratio of a point's error to its tolerance."""
         return self.radius[name] / self.tolerance[name]
 
     @property
     def worst_words(self) -> str:
-        """The worst point with its numbers."""
+        """Text of the worst point with its numbers."""
         return self.numbers(self.worst) if self.worst in self.radius else self.worst
 
     @property
     def worst_point(self) -> str:
-        """The worst point with its margin, or how far it is missed, where there is one."""
+        """Text of the worst point with its margin or excess; empty for none."""
         excess = 100 * (self.ratio - 1)
         margin = f"margin {-excess:.0f} %" if self.good else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
         margin = margin if np.isfinite(excess) else "not visible from any station"
@@ -145,10 +143,10 @@ class ToleranceCheck:
 
     @property
     def remaining(self) -> str:
-        """Points that are not visible or exceed their tolerances, as a clause."""
+        """Clause on the points that are not visible or exceed their tolerances."""
         if self.good:
             return f"all tolerances are met, worst point {self.worst_words}"
-        verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MOST_NAMED)
+        verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MAX_NAMED)
         parts = [f"{named} {verb} not visible from any station"] if self.unseen else []
         if not self.radius:
             parts.append(UNDETERMINED)
@@ -159,13 +157,13 @@ class ToleranceCheck:
         return ", ".join(parts)
 
     def numbers(self, name: str) -> str:
-        """A point with its error and its tolerance."""
+        """Text of a point with its error and its tolerance."""
         error, tolerance = self.radius[name] / MILLIMETRE, self.tolerance[name] / MILLIMETRE
-        return f"{name}: {against(error, tolerance)} mm, limit {tolerance:.6g} mm"
+        return f"{name}: {text_near_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
 def judged(survey: Survey, demands: Tolerances, built: Construction, lost: str = "") -> ToleranceCheck:
-    """Check of a survey; points that no station sees are excluded from the network and reported."""
+    """Check of a survey; points that no station sees are removed from the network and reported."""
     visible: Bools = np.asarray(survey.visible.any(axis=0))
     unseen = tuple(n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in demands.tolerance)
     try:
@@ -185,7 +183,7 @@ def judged(survey: Survey, demands: Tolerances, built: Construction, lost: str =
 
 
 def after_losses(survey: Survey, demands: Tolerances, built: Construction, kind: str) -> Iterator[ToleranceCheck]:
-    """Checks of a survey without each station in turn (`station`), or each sight of a point (`sight`)."""
+    """Checks of a survey without each station (`station`), or without each sight of a point (`sight`)."""
     if kind == "station":
         for s, name in enumerate(survey.station_names):
             yield judged(survey.without(s), demands, built, name)
@@ -206,34 +204,34 @@ def every_loss(survey: Survey, demands: Tolerances, built: Construction) -> tupl
 
 
 def losses_of(survey: Survey, demands: Tolerances, built: Construction) -> list[ToleranceCheck]:
-    """Checks without each station, and without each sight where tolerances must withstand that: input of a verdict."""
+    """Checks without each station, and without each sight if tolerances must withstand that, for a verdict."""
     kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
     return [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
 
 
 def is_feasible(survey: Survey, demands: Tolerances, built: Construction) -> tuple[bool, float]:
-    """Feasibility of a survey (tolerances are met, after any single loss too where required), and the largest ratio."""
+    """Flag that a survey meets its tolerances (after any single loss if required), and the largest ratio."""
     whole = judged(survey, demands, built)
     if not whole.good or demands.robust == "no":
         return whole.good, whole.ratio
     worst = max(loss.ratio for loss in after_losses(survey, demands, built, demands.robust))
-    return keeps(worst), worst
+    return is_met(worst), worst
 
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and the tolerances of its plan: the same for search, move, board and page."""
+    """Verdict on a layout by the rules and tolerances of its plan, common to search, moves, planner and page."""
 
     reached: bool
-    """No rule is broken and all tolerances are met, after any single loss too where required."""
+    """True if no rule is broken and all tolerances are met, after any single loss if required."""
     words: str
-    """The verdict in sentences, without the last full stop."""
+    """Sentences of the verdict, without the last full stop."""
 
 
 def verdict(
     demands: Tolerances, check: ToleranceCheck, losses: Sequence[ToleranceCheck], broken: Sequence[BrokenRule] = ()
 ) -> PlanVerdict:
-    """Goal reached or not, broken rules, the worst point and its margin, and the worst check with one station lost."""
+    """Verdict from broken rules, the worst point with its margin, and the worst check after the loss of a station."""
     asked = [loss for loss in losses if demands.robust == ("sight" if loss.of_sight else "station")]
     reached = not broken and check.good and all(loss.good for loss in asked)
     count = len(demands.tolerance)

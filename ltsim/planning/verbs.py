@@ -1,4 +1,4 @@
-"""Layouts of stations: the search, alternatives to a station that cannot stand there, the next measurement."""
+"""Public functions of planning: the search, alternatives to a station, the next measurement."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
-CLEAR = 2.0
-"""[m]: how far from an impossible place, and from each other, places for its station are."""
-MOST = 4
-"""Places that are proposed."""
+MIN_ALTERNATIVE_DISTANCE = 2.0
+"""Distance [m] of proposed places from an impossible place and from each other."""
+MAX_ALTERNATIVES = 4
+"""Largest number of proposed places."""
 
 
 def plan(
@@ -42,7 +42,7 @@ def plan(
     follower: Follower | None = None,
     move: Mapping[str, Sequence[float]] | None = None,
 ) -> Plan:
-    """Find a layout of stations and reflectors, with its reasons and its curve of cost against quality.
+    """Layout of stations and reflectors, with reasons and the curve of cost against quality.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def next_measurement(
     minutes_per_move: float = 20.0,
     progress: Progress = quiet,
 ) -> NextMeasurement:
-    """Rank further measurements after a recording.
+    """Ranking of additional measurements after a recording.
 
     Parameters
     ----------
@@ -130,23 +130,23 @@ def next_measurement(
 
 @dataclass(frozen=True)
 class Alternative:
-    """A place for a station, all others as they are; or the layout without it."""
+    """Alternative to a station: another position with all others unchanged, or the layout without it."""
 
     words: str
-    """Place of the station, in words."""
+    """Text of the position of the station."""
     survey: Survey
     verdict: str
-    """Verdict on the layout, as a sentence."""
+    """Sentence on the layout."""
     worth: float
-    """Largest error over its tolerance, after the losses that matter too; without tolerances the largest sigma [m]."""
+    """Largest ratio of error to tolerance, after relevant losses too; without tolerances the largest sigma [m]."""
     good: bool
-    """No rule is broken, and the goal is reached where there are tolerances."""
+    """True if no rule is broken and the goal (if there are tolerances) is reached."""
     move: str = ""
-    """The value of `--move` that judges it; empty for the layout without the station."""
+    """Value of `--move` that evaluates it; empty for the layout without the station."""
 
 
 def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]:
-    """Alternatives to a station: the layout without it, then with it at the best other places, all others as they are.
+    """Alternatives to a station: the layout without it, then with it at the best other positions.
 
     Parameters
     ----------
@@ -168,15 +168,18 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
     work = problem.searcher(site.replace(survey=survey, fixed=tuple(others), min_sights=0))
     table = work.table(slot)
     values = work.replacements(work.layout(survey.position, survey.yaw), slot, table)
-    values[_gap(table.position, survey.position[slot]) < CLEAR] = np.inf
+    values[_gap(table.position, survey.position[slot]) < MIN_ALTERNATIVE_DISTANCE] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
     demanded = Tolerances.of(file).tolerance or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
     lacking = np.maximum(site.min_sights - survey.visible[others].sum(axis=0) - table.visible, 0)[:, asked].sum(axis=1)
     alternatives: list[Alternative] = []
     for best in np.lexsort((values, lacking)).tolist():
-        near = [_gap(table.position[[best]], option_.survey.position[slot])[0] < CLEAR for option_ in alternatives]
-        if len(alternatives) == MOST or not np.isfinite(values[best]) or any(near):
+        near = [
+            _gap(table.position[[best]], option_.survey.position[slot])[0] < MIN_ALTERNATIVE_DISTANCE
+            for option_ in alternatives
+        ]
+        if len(alternatives) == MAX_ALTERNATIVES or not np.isfinite(values[best]) or any(near):
             continue
         position, yaw = survey.position.copy(), survey.yaw.copy()
         position[slot], yaw[slot] = table.position[best], table.yaw[best]
@@ -190,9 +193,11 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
 
 
 def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]]) -> PlannedNetwork:
-    """The plan with stations at other places: x, y, z [mm] and yaw [deg] of each, the last of them left out.
+    """Planned network with stations at other positions: x, y, z [mm] and yaw [deg] of each.
 
-    Raises SetupError where no tripod may stand there.
+    The last ones may be missing.
+
+    Raises SetupError for a position where no tripod may stand.
     """
     file, site = as_it_stands(named, scenario)
     survey = site.survey
@@ -209,7 +214,7 @@ def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]
 
 
 def _place_of(name: str, given: object) -> Floats:
-    """Numbers (2 to 4) of a place to move to; raises SetupError."""
+    """Numbers (2 to 4) of a new position; raises SetupError."""
     words = np.ravel(np.asarray(given, dtype=object)).tolist()
     try:
         place = np.array(words, dtype=np.float64)
@@ -238,7 +243,7 @@ def _index(survey: Survey, name: str) -> int:
 def _alternative(
     problem: PlanningProblem, site: SearchSpace, survey: Survey, words: str, move: str = ""
 ) -> Alternative:
-    """A layout against the rules and its tolerances where it has some, else by its worst point."""
+    """Alternative layout, evaluated by the rules and tolerances, or by its worst point if there are none."""
     demands, built, broken = Tolerances.of(problem.file), problem.built, site.broken_rules(survey)
     if demands:
         check = judged(survey, demands, built)

@@ -1,4 +1,4 @@
-"""Work order of a plan on the shop floor: tripods placed by tape, order of measuring, checks."""
+"""Work order of a plan for the shop floor: tape distances to tripods, order of measurement, checks."""
 
 from __future__ import annotations
 
@@ -13,41 +13,43 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.planner import PlannedNetwork
 
-REACH = 2.2
-"""[m] Largest height from which a point can be plumbed to the floor."""
-TAPE = 15.0
-"""[m] Longest distance for a tape or a distance meter."""
-MOST_MARKS = 16
-"""Marks of a station that are looked at."""
-STRAIGHT = 0.1
-"""Least gain in firmness of a distance straight to a reflector over one along the floor."""
-READ, PLAY, CLEAR = 0.01, 0.03, 0.1
-"""[m] Resolution of a tape; largest ambiguity of the place from three distances; smallest miss of any other place."""
-NEAR = 0.3
-"""[m] Shortest useful distance."""
-ANKLE = 0.1
-"""[m] Height above the floor at which the tape must pass freely."""
-BORED = 0.03
-"""Least gain in firmness of three distances for one more metre of tape."""
-TRUST = 3.0
-"""Sigmas beyond which a repeated point is taken to have moved."""
-COMMON = 3
-"""Points that are measured again at the end of a station."""
+MAX_PLUMB_HEIGHT = 2.2
+"""Largest height [m] from which a point can be plumbed to the floor."""
+MAX_TAPE = 15.0
+"""Longest distance [m] for a tape or a distance meter."""
+MAX_MARKS = 16
+"""Largest number of marks that are considered for a station."""
+MIN_STRAIGHT_GAIN = 0.1
+"""Smallest gain in firmness of a distance straight to a reflector compared with one along the floor."""
+TAPE_RESOLUTION, MAX_AMBIGUITY, MIN_MISCLOSURE = 0.01, 0.03, 0.1
+"""Resolution of a tape, largest ambiguity of the position from three distances, and smallest misclosure at any other
+position [m].
+"""
+MIN_TAPE = 0.3
+"""Shortest useful distance [m]."""
+TAPE_HEIGHT = 0.1
+"""Height [m] above the floor at which the tape must pass freely."""
+MIN_GAIN_PER_METRE = 0.03
+"""Smallest gain in firmness of three distances per additional metre of tape."""
+MOVED_SIGMAS = 3.0
+"""Number of standard deviations beyond which a repeated point counts as moved."""
+REPEATED_POINTS = 3
+"""Number of points that are measured again at the end of a station."""
 
 
 @dataclass(frozen=True)
 class TapeDistance:
-    """A distance along the floor, from under the head to under a point, or straight from the head to a reflector."""
+    """Distance along the floor from below the head to below a point, or straight from the head to a reflector."""
 
     to: str
     place: Floats
-    """(3,) [m]: of the point."""
+    """Coordinates of the point, (3,) [m]."""
     metres: float
     floor: bool
 
     @property
     def words(self) -> str:
-        """The distance with its end."""
+        """Text of the distance and its end point."""
         return f"{self.metres:.2f} m to {self.to}{'' if self.floor else ' (straight)'}"
 
     @classmethod
@@ -59,27 +61,27 @@ class TapeDistance:
 
 @dataclass(frozen=True)
 class StationSetup:
-    """Station of the work order."""
+    """Station in the work order."""
 
     name: str
     height: float
-    """[m]: of the head's centre above the floor."""
+    """Height [m] of the head's centre above the floor."""
     tapes: tuple[TapeDistance, ...]
-    """Three, which meet in one point unless `lacking` says otherwise."""
+    """Three distances, which determine one position unless `lacking` says otherwise."""
     lacking: str
-    """Deficiency of the tapes in fixing the place, as a sentence; empty where they fix it."""
+    """Sentence on the deficiency of the distances; empty if they determine the position."""
     towards: str
-    """Direction of azimuth zero, in words."""
+    """Text of the direction of azimuth zero."""
     order: tuple[str, ...]
     """Targets in the order of their first pointing."""
     again: dict[str, float]
-    """[m]: targets to measure again at the end, and how far they may be off then."""
+    """Targets to be measured again at the end, with their largest permitted deviation [m]."""
     minutes: float
     """Duration of the pointings [min]."""
 
 
 def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
-    """The stations of a plan in the order of the work."""
+    """Stations of a plan in the order of measurement."""
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
     sightings = sightings_of(recording, survey.state(built))
@@ -92,8 +94,8 @@ def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
         at = survey.station_names.index(name)
         place, visible = survey.position[at], survey.visible[at]
         order = list(dict.fromkeys(recording.target[rows].tolist()))
-        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
-        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
+        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, REPEATED_POINTS).round().astype(int))]
+        limit = {t: MOVED_SIGMAS * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
         tapes = _tapes(_marks(plan, place, visible), place)
         settings.append(
             StationSetup(
@@ -111,20 +113,22 @@ def settings_of(plan: PlannedNetwork) -> tuple[StationSetup, ...]:
 
 
 def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDistance]:
-    """Marks that a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
+    """Marks for tape distances to a station, in order of preference.
 
-    Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
-    other reflector in sight.
+    They are first those within reach of a tape, then along the floor, then the nearest.
+
+    Distances along the floor lead to points that can be plumbed and to corners of the room, if the path is free; others
+    lead straight to visible reflectors.
     """
     survey, obstacles = plan.chosen.survey, plan.site.obstacles
     targets = list(zip(survey.target_names, survey.points, strict=True))
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
-    plumbed = [*((name, point) for name, point in targets if point[2] <= REACH), *corners]
+    plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
     level = [TapeDistance.of(name, point, place, floor=True) for name, point in plumbed]
     if obstacles is not None:
-        ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
-        blocked = obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
+        ends = np.array([[*mark.place[:2], TAPE_HEIGHT] for mark in level])
+        blocked = obstacles.blocked(np.tile([*place[:2], TAPE_HEIGHT], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
     reachable = {mark.to for mark in level}
     straight = [
@@ -132,34 +136,41 @@ def _marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[TapeDist
         for t in np.flatnonzero(visible)
         if targets[t][0] not in reachable
     ]
-    every = [mark for mark in (*level, *straight) if mark.metres > NEAR]
-    return sorted(every, key=lambda mark: (mark.metres > TAPE, not mark.floor, mark.metres))[:MOST_MARKS]
+    every = [mark for mark in (*level, *straight) if mark.metres > MIN_TAPE]
+    return sorted(every, key=lambda mark: (mark.metres > MAX_TAPE, not mark.floor, mark.metres))[:MAX_MARKS]
 
 
 def _tapes(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
-    """Three distances that cross well, are short and meet in one point only, the station's; else the firmest three."""
+    """Three short distances with good intersection that determine one position only.
+
+    If there are none, the firmest three.
+    """
 
     def worth(three: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
         firm, good = firmness(three, place), not lacking(three, place)
         longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
-        return good, good and longest <= TAPE, firm - good * (BORED * longest + STRAIGHT * straight)
+        return (
+            good,
+            good and longest <= MAX_TAPE,
+            firm - good * (MIN_GAIN_PER_METRE * longest + MIN_STRAIGHT_GAIN * straight),
+        )
 
     return max(combinations(marks, 3), key=worth, default=tuple(marks))
 
 
 def firmness(three: Sequence[TapeDistance], place: Floats) -> float:
-    """Smallest change of distances per step on the floor: the least singular value of their gradients."""
+    """Smallest change of distances per step on the floor: the smallest singular value of their gradients."""
     slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
 def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
-    """Deficiency of distances, read within `READ`, in giving one place and no other, as a sentence; empty for none."""
+    """Sentence on why distances with resolution `TAPE_RESOLUTION` do not determine one position; empty if they do."""
     if len(tapes) < 3:
-        return "Fewer than three points can be taped to: mark its place by another way."
-    if (firm := firmness(tapes, place)) * PLAY < READ:
-        wide = f"by {100 * READ / firm:.0f} cm" if firm > READ else "along a line"
-        return f"The tapes cross too flat and leave its place open {wide}: mark it by another way."
+        return "Fewer than three points are within reach of a tape: mark the place in another way."
+    if (firm := firmness(tapes, place)) * MAX_AMBIGUITY < TAPE_RESOLUTION:
+        wide = f"by {100 * TAPE_RESOLUTION / firm:.0f} cm" if firm > TAPE_RESOLUTION else "along a line"
+        return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
     at = np.array([mark.place[:2] for mark in tapes])
     rise = np.array([mark.metres for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
     first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
@@ -167,13 +178,13 @@ def lacking(tapes: Sequence[TapeDistance], place: Floats) -> str:
     gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
     misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.metres for mark in tapes]
-    if np.linalg.norm(mirror - place[:2]) < PLAY or np.abs(misses).max() > CLEAR:
+    if np.linalg.norm(mirror - place[:2]) < MAX_AMBIGUITY or np.abs(misses).max() > MIN_MISCLOSURE:
         return ""
-    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
+    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m. Do not use this point."
 
 
 def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) -> str:
-    """Direction of azimuth zero: the target in sight that is nearest to it, and the angle between them."""
+    """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
     survey = plan.chosen.survey
     way = survey.points[visible] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
@@ -184,22 +195,22 @@ def _towards(plan: PlannedNetwork, place: Floats, yaw: float, visible: Bools) ->
 
 
 def checks(plan: PlannedNetwork) -> list[str]:
-    """Checks in the order of the work, a sentence each."""
+    """Checks in the order of measurement, one sentence each."""
     survey, file = plan.chosen.survey, plan.file
     sentences = [
-        f"Before the first pointing: the tracker is warm, its own checks are passed, the air has the planned "
+        f"Before the first pointing: the tracker is warm, its built-in checks are passed, the air has the planned "
         f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
         "At every station, before its first pointing: the head is within "
         f"{file.stations.position_tolerance_mm:g} mm of its planned position, and every point of its list is visible.",
-        "At the end of every station: measure the points under 'again' once more; where one is off by more than "
-        "stated, the tripod or the point has moved, and the station is measured anew.",
+        "At the end of every station: measure the points under 'again' once more. If one differs by more than "
+        "its limit, the tripod or the point has moved: measure the station again.",
     ]
     if len(survey.faces) == 2:
         sentences.append(
-            "In both faces: the two readings of a point differ as those of the others do; else one is a slip."
+            "In both faces: the difference of the two readings is similar for all points; otherwise one is wrong."
         )
     if len(survey.position) > 1:
         sentences.append(
-            "Before the second station and each later one is left: ltsim adjust of all so far suspects no pointing."
+            "Before you leave the second and each later station: ltsim adjust with all readings reports no outlier."
         )
     return sentences

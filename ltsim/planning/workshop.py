@@ -1,4 +1,4 @@
-"""A plan file and its scenario as a site to search on."""
+"""Search space and survey from a plan file and its scenario."""
 
 from collections.abc import Sequence
 
@@ -18,36 +18,35 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
 from ltsim.recordings.air import Air
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.scene.floor import ground_of
+from ltsim.scene.floor import areas_and_keep_outs
 from ltsim.scene.meshes import nest_places, walls
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
 
-LEANING = 1e-3
-"""Cosine deficit of an instrument's axis that a plan of upright stations may neglect (2.6 deg)."""
+MAX_TILT_DEFICIT = 1e-3
+"""Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
 RANGES = ("distance",)
-SIGHTS = 3
-"""Stations whose ranges place a reflector."""
+RANGE_STATIONS = 3
+"""Number of stations whose ranges determine a reflector."""
 EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 
 
 def survey_of(scenario: Scenario) -> Survey:
-    """The scenario as a survey: its layout as planned, its set-up, its order and its clock.
+    """Survey of a scenario: its planned layout, set-up, order and timing.
 
-    Raises SetupError when a station leans (a plan knows upright ones only), there is more than one tracker, or its
-    ranges are not recorded.
+    Raises SetupError for an inclined station, for several trackers, and if ranges are not recorded.
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
-        raise SetupError(f"the scenario names its trackers ({named}); a plan is for one, stated as [instrument]")
+        raise SetupError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
     if scenario.instrument.observables not in (OBSERVABLES, RANGES):
-        raise SetupError("instrument.observables: a plan is for ranges with both angles, or for ranges alone")
+        raise SetupError("instrument.observables: a plan needs ranges and both angles, or ranges only")
     layout, work = planned(scenario), scenario.work
     lean = 1.0 - layout.rotation[:, 2, 2]
-    if lean.max() > LEANING:
-        raise SetupError(f"station {layout.stations[int(lean.argmax())]} leans; a plan knows upright stations only")
+    if lean.max() > MAX_TILT_DEFICIT:
+        raise SetupError(f"station {layout.stations[int(lean.argmax())]} is tilted; a plan needs vertical stations")
     recording, _ = simulate(scenario.model_copy(update={"placing": EXACT}), 0)
     return Survey(
         setup=recording.setup,
@@ -68,7 +67,7 @@ def survey_of(scenario: Scenario) -> Survey:
 
 
 def _rank(recording: Recording, layout: Layout) -> Ints:
-    """Place of each target in each station's first round; targets not seen come last, (S, T)."""
+    """Rank (S, T) of each target in each station's first round; invisible targets are last."""
     count = len(layout.targets)
     first = np.full((len(layout.stations), count), np.inf)
     target = np.array([layout.targets.index(name) for name in recording.targets])[recording.target]
@@ -78,18 +77,22 @@ def _rank(recording: Recording, layout: Layout) -> Ints:
 
 
 def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> SearchSpace:
-    """The freedom of a plan with a number of stations and a way of measuring."""
+    """Search space of a plan with a number of stations and a measuring procedure."""
     survey, layout, mm, air = survey_of(scenario), planned(scenario), MILLIMETRE, scenario.air or Air()
     levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
-    areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
+    areas, keep_outs = areas_and_keep_outs(
+        plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max()))
+    )
     longest = max(np.linalg.norm(area.outline[:, None] - survey.points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
     wanted = plan.stations.min_stations_per_target
     least = stations if wanted == "all" else min(wanted, stations)
-    if not survey.is_whole and least < SIGHTS:
-        if stations < SIGHTS or plan.asks_for_sights:
-            raise SetupError(f"ranges alone place a reflector from {SIGHTS} stations, not from {least}; ask for more")
-        least = SIGHTS
+    if not survey.is_whole and least < RANGE_STATIONS:
+        if stations < RANGE_STATIONS or plan.asks_for_sights:
+            raise SetupError(
+                f"ranges alone place a reflector from {RANGE_STATIONS} stations, not from {least}; ask for more"
+            )
+        least = RANGE_STATIONS
     return SearchSpace(
         survey=with_stations(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
@@ -115,14 +118,14 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
 
 
 def fewest_sights(scenario: Scenario) -> int:
-    """Stations that a reflector must be seen from for its place: one, or several where ranges alone are recorded."""
-    return 1 if scenario.instrument.observables == OBSERVABLES else SIGHTS
+    """Smallest number of stations that must see a reflector: one, or several if ranges alone are recorded."""
+    return 1 if scenario.instrument.observables == OBSERVABLES else RANGE_STATIONS
 
 
 def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
-    """A plan for a layout that is not searched, and its freedom, whose survey is that layout, with its sights.
+    """Plan of a layout that is not searched, and its search space, whose survey is that layout.
 
-    Where the plan does not say from how many stations a reflector must be seen, the fewest that place it are enough.
+    If the plan does not give the number of stations per reflector, the smallest sufficient number is used.
     """
     asked = file if file.asks_for_sights else file.with_min_stations(fewest_sights(scenario))
     work = scenario.work
@@ -131,7 +134,7 @@ def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSp
 
 
 def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
-    """Numbers of faces and of rounds to choose from; the scenario's alone where the plan leaves no choice."""
+    """Numbers of faces and of rounds that may be chosen; those of the scenario if the plan gives no choice."""
     if not plan.chooses:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
@@ -139,7 +142,7 @@ def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
 
 
 def with_stations(survey: Survey, count: int) -> Survey:
-    """The survey with its first stations, or with more of them standing for places yet to be found."""
+    """Survey with its first stations, or with placeholders for additional ones."""
     have = len(survey.position)
     names = [*survey.station_names]
     free = (f"S{i}" for i in range(1, have + count + 1) if f"S{i}" not in names)
@@ -157,7 +160,7 @@ def with_stations(survey: Survey, count: int) -> Survey:
 
 
 def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
-    """Candidate places (P, 3) [m] of reflectors and their names; None where they stay."""
+    """Candidate places (P, 3) [m] of reflectors and their names; None if they do not move."""
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
     for body in plan.reflectors.on:
@@ -174,7 +177,7 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
 
 
 def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
-    """Places (P, 3) [mm], to the millimetre, on the surfaces of an obstacle or on the walls."""
+    """Places (P, 3) [mm], rounded to a millimetre, on the surfaces of an obstacle or on the walls."""
     if body == WALLS:
         triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
@@ -185,7 +188,7 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
 
 
 def staying(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Targets that the search leaves where they are: all without candidate places; else what must stay, (T,)."""
+    """Flags (T,) of the targets that the search does not move: all without candidate places, else the fixed ones."""
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
@@ -193,7 +196,7 @@ def staying(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
-    """Targets of a survey whose places are no matter of choice: all that is not free or called movable, (T,)."""
+    """Flags (T,) of the targets of a survey that are neither free nor declared movable."""
     free = plan.reflectors.movable
     demanded = [point.name for point in plan.listed if point.name not in free and point.group not in free]
     return _is_fixed(plan, scenario, survey.target_names, demanded)
@@ -205,7 +208,7 @@ def _is_fixed(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: 
 
 
 def objective_of(plan: PlanFile, survey: Survey) -> Objective:
-    """Objective of the plan; an effect of one station is looked for at each of them."""
+    """Objective of the plan; an effect of one station is considered at each of them."""
     goal = plan.goal
     weights = {INSTRUMENT: goal.instrument, TARGETS: goal.targets, DIAGNOSIS: goal.diagnosis}
     effects: list[Effect] = []
@@ -216,7 +219,7 @@ def objective_of(plan: PlanFile, survey: Survey) -> Objective:
         elif kind.scope == "all":
             effects.append(kind())
         else:
-            message = "acts on single targets or readings; name effects of all or of a station"
+            message = "acts on single targets or readings; name effects that act on all or on a station"
             raise SetupError(f"goal.effects: {name} {message}")
     built = misalignment()
     sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None

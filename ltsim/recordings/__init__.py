@@ -1,4 +1,4 @@
-"""Recordings of tracker networks: in memory, in the native folder and in the formats that people have."""
+"""Recordings of tracker networks: in memory, in the native folder, in formats of instruments and programs."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -5,21 +5,30 @@ from ltsim.recordings.keys import NonNegative, TomlSection
 
 
 class Air(TomlSection):
-    """Standard deviations of the properties of the air that were not measured; 0 for a property that is known."""
+    """Uncertainty of the air along the beams: standard deviations of the properties that were not measured.
+
+    It is 0 for a measured one.
+    """
 
     temperature_k: NonNegative = 0.5
-    """Standard deviation of the mean temperature along the beams of a station, less that at its weather station."""
+    """Standard deviation of the mean air temperature along the beams of a station minus the temperature at its weather
+    station.
+    """
     gradient_k_per_m: NonNegative = 0.1
-    """Standard deviation of the vertical temperature gradient at a station; 0.1 in good halls, 1 to 2 if heated."""
+    """Standard deviation of the vertical temperature gradient at a station: 0.1 in good halls, 1 to
+    2 in heated ones.
+    """
     turbulence_um2_per_m3: NonNegative = 0.1
-    """Variance of a pointing across the beam over the cube of its range."""
+    """Variance of a pointing perpendicular to the beam divided by the cube of its range, caused by turbulence."""
     beyond_mm: NonNegative = 10_000.0
-    """The air counts where the longest range is longer than this."""
+    """Length of the longest line of sight above which the uncertainty of the air is taken into account."""
 
     def counts(self, longest: float) -> bool:
-        """True if a network whose longest range is so long [m] holds the air in its budget."""
+        """True if a network with this longest range [m] takes the uncertainty of the air into account."""
         return longest > self.beyond_mm * MILLIMETRE
 
 
 NO_AIR = Air(temperature_k=0.0, gradient_k_per_m=0.0, turbulence_um2_per_m3=0.0)
-"""Air of formats of outdoor surveys: the standard deviations of their observations include the atmosphere."""
+"""Uncertainty of the air for formats of outdoor surveys: none, because the standard deviations of their observations
+include the atmosphere.
+"""

@@ -1,10 +1,10 @@
-"""Meaning of the numbers of a polar file: unit, zenith or elevation, clockwise or not, metres or millimetres.
+"""Conventions of a polar file: unit, zenith angle or elevation, sense of the azimuth, metres or millimetres.
 
-The data decide and a note reports it, or one sentence asks for a hint; nothing is guessed silently. Two faces
-determine unit and vertical angle at once, because they add up to a full or a half circle. Where there is one
-face, lengths between targets common to two stations decide: they agree in the right unit only. The sense of
-the azimuth is beyond both: the mirror image of a whole network is a network with the same lengths and
-faces. Coordinates or poses from elsewhere are needed for it.
+The data decide and a note reports the decision, or an error asks for a hint; nothing is assumed silently. Two faces
+determine unit and vertical angle, because their readings add up to a full or a half circle. With one face, the lengths
+between targets common to two stations decide: they agree only in the right unit. Neither determines the sense of the
+azimuth: the mirror image of a network has the same lengths and faces. Coordinates or poses from another source are
+needed for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,28 +31,31 @@ Vertical = Literal["zenith", "elevation"]
 Azimuth = Literal["clockwise", "counter-clockwise"]
 Length = Literal["mm", "m"]
 Pose = tuple[Floats, Floats]
-"""Rotation (3, 3) from the station's frame, and place (3,) [m]."""
+"""Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
-CLEARLY = 10.0
-"""Ratio of misfits between the second-best and the best meaning from which the data decide."""
-MIRROR_SHARE = 1e-3
-"""Largest misfit of a mirror image, as a share of the size of the network."""
-MOST_NOTES = 3
-QUICKEST_S, SLOWEST_S = 0.1, 7200.0
-"""[s] Shortest and longest plausible median time from one target to the next; a clock beyond them is questioned."""
-LEAST_STEPS = 8
+MIN_MISFIT_RATIO = 10.0
+"""Smallest ratio of the second-best to the best misfit from which the data decide on a convention."""
+MAX_MIRROR_MISFIT = 1e-3
+"""Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
+MAX_NOTES = 3
+MIN_PACE_S, MAX_PACE_S = 0.1, 7200.0
+"""Shortest and longest plausible median time [s] between consecutive targets; a question about the clock is asked
+outside them.
+"""
+MIN_STEPS = 8
 
 
 @dataclass(frozen=True)
 class Hints:
-    """Decisions of a caller on an ambiguous file; None leaves one to the data.
+    """Decisions of the user on an ambiguous file; None leaves a decision to the data.
 
-    `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
-    azimuth; `station` names the set-up of a file that does not; `columns` assigns the columns of a table
-    (``target=Name,azimuth=Hz[gon]``), `setup` is the file with its noise and gauge, `date` the order of dates with
-    strokes. A file that is still growing (`incomplete_tail`) may end inside a row and lack targets of known lengths.
+    `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the azimuth;
+    `station` names the set-up of a file that contains no name; `columns` assigns the columns of a table
+    (``target=Name,azimuth=Hz[gon]``), `setup` is the file with noise and gauge, `date` the order of day and month in
+    dates with slashes. A file that is still growing (`incomplete_tail`) may end inside a row and may lack targets of
+    reference lengths.
     """
 
     angle: Angle | None = None
@@ -72,7 +75,10 @@ NO_HINTS = Hints()
 
 @dataclass(frozen=True)
 class PolarTable:
-    """Numbers as printed: horizontal and vertical angle, distance (n,); indices of station and target (n,) int."""
+    """Polar readings as they are in a file: horizontal and vertical angle, distance, indices of station and target.
+
+    All are (n,).
+    """
 
     station: Ints
     target: Ints
@@ -81,38 +87,41 @@ class PolarTable:
     distance: Floats
 
     def points(self, angle: Angle, vertical: Vertical) -> Floats:
-        """Places (n, 3) in each station's frame, azimuths taken counter-clockwise, in the unit of the distances."""
+        """Coordinates (n, 3) in each station's frame, in the unit of the distances.
+
+        Azimuths are taken as counter-clockwise.
+        """
         upward = self.vertical * FACTOR[angle]
         elevation = np.pi / 2 - upward if vertical == "zenith" else upward
         return from_polar(np.stack([self.distance, self.horizontal * FACTOR[angle], elevation], axis=1))
 
 
 def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle, Vertical, list[str]]:
-    """Unit of the angles and meaning of the vertical one, with a note for what the data decided.
+    """Unit of the angles, kind of the vertical angle, and notes on what the data decided.
 
-    Raises RecordError, asking for a hint, where the data do not decide.
+    Raises RecordError, which asks for a hint, if the data do not decide.
     """
     angles = ANGLES if hints.angle is None else (hints.angle,)
     verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
     open_ = [
-        (a, v) for a in angles for v in verticals if _possible(table, a, v, is_declared=hints.vertical is not None)
+        (a, v) for a in angles for v in verticals if _is_possible(table, a, v, is_declared=hints.vertical is not None)
     ]
     if not open_:
-        raise RecordError("the angles fit none of the units deg, gon and rad; check the columns", file=file)
-    meaning, why = open_[0], "the values allow nothing else"
+        raise RecordError("the angles have none of the units deg, gon and rad; check the columns", file=file)
+    meaning, why = open_[0], "no other interpretation fits the values"
     if len(open_) > 1:
-        meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _ask(open_, file)
+        meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _require_hint(open_, file)
     notes = []
     if hints.angle is None or hints.vertical is None:
         notes.append(f"angles are interpreted as {meaning[0]}, the vertical ones as {meaning[1]} angles ({why})")
     return (*meaning, notes)
 
 
-def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
-    """True if every value lies on the circle, and the vertical angles are within the travel of an instrument.
+def _is_possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
+    """True if every value lies within the circle, and the vertical angles are within the travel of an instrument.
 
-    An elevation beyond the zenith is read on face 2 only; a file that has such, but no target on two faces, holds
-    zenith angles unless the caller says otherwise (`is_declared`).
+    An elevation beyond the zenith occurs on face 2 only. A file with such values, but without a target on two faces,
+    therefore holds zenith angles, unless the kind is declared (`is_declared`).
     """
     circle = CIRCLE[angle]
     horizontal, upward = table.horizontal, table.vertical
@@ -126,7 +135,7 @@ def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declare
 
 
 def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
-    """Pairs of rows, each with the next one of the same station and target."""
+    """Pairs of rows: each row and the next one with the same station and target."""
     order = np.lexsort((np.arange(len(table.station)), table.target, table.station))
     first, next_ = order[:-1], order[1:]
     keep = (table.station[first] == table.station[next_]) & (table.target[first] == table.target[next_])
@@ -134,7 +143,7 @@ def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
 
 
 def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
-    """Number of pairs of rows that are a target on both faces: half a circle between them, vertical angles add up."""
+    """Number of pairs of rows with one target on both faces: azimuths half a circle apart, matching vertical angles."""
     first, other = _same_target(table)
     circle = CIRCLE[angle]
     total = circle if vertical == "zenith" else circle / 2
@@ -145,36 +154,39 @@ def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
 
 
 def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
-    """The meaning under which most repeated targets were seen on two faces, if only one does so."""
+    """Unit and kind of vertical angle under which most repeated targets are on two faces; None if several are equal."""
     counts = [_on_two_faces(table, angle, vertical) for angle, vertical in open_]
     best = int(np.argmax(counts))
-    if counts[best] < 2 or sorted(counts)[-2] * CLEARLY > counts[best]:
+    if counts[best] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best]:
         return None
-    return open_[best], f"{counts[best]} targets were seen on two faces that add up accordingly"
+    return open_[best], f"{counts[best]} targets in two faces add up accordingly"
 
 
 def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
-    """The meaning under which two stations see the same lengths between targets, if only one does so."""
+    """Unit and kind of vertical angle under which two stations see equal lengths between targets.
+
+    It is None if several do.
+    """
     gaps = [chord_gap(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_]
     if not np.all(np.isfinite(gaps)):
         return None
     first, second = np.argsort(gaps)[:2]
-    if gaps[first] > 1e-2 or gaps[first] * CLEARLY > gaps[second]:
+    if gaps[first] > 1e-2 or gaps[first] * MIN_MISFIT_RATIO > gaps[second]:
         return None
     return open_[first], f"two stations then see the same lengths within a part in {1 / max(gaps[first], 1e-9):.0f}"
 
 
-def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
-    """Raise RecordError with what to type for the first of the choices, without what they have in common."""
+def _require_hint(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
+    """Error that asks the user to choose between conventions; raises RecordError with the option to type."""
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
     hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
     hints += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
-    message = f"the angles may be {choices}, and nothing in the file decides; give {' '.join(hints)}"
+    message = f"the angles may be {choices}, and the file does not decide; give {' '.join(hints)}"
     raise RecordError(message, file=file)
 
 
 def length_meaning(distance: Floats, hints: Hints) -> tuple[Length, list[str]]:
-    """Unit of the distances: metres where none exceeds what a tracker network measures in millimetres."""
+    """Unit of the distances, with notes: metres if none exceeds the largest value of a tracker network in metres."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
@@ -192,7 +204,10 @@ SENSE_UNKNOWN = (
 def sense_from_points(
     local: Floats, table: PolarTable, targets: Sequence[str], file: Path
 ) -> tuple[Azimuth, list[str]]:
-    """The sense by coordinates of targets in `file`, with notes; raises RecordError where they do not decide."""
+    """Sense of the azimuth by the coordinates of targets in `file`, with notes.
+
+    Raises RecordError if they do not decide.
+    """
     points = read_points(file, strict=False)
     place = {name: i for i, name in enumerate(targets)}
     places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
@@ -207,10 +222,10 @@ def sense_from_points(
 
 
 def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Floats]) -> Azimuth | None:
-    """The sense of the azimuth under which a station's targets fit known points (by target index) rigidly.
+    """Sense of the azimuth under which the targets of a station fit known points (by target index) rigidly.
 
-    `local` (n, 3) [m] are the targets with the azimuth taken counter-clockwise. None where neither sense
-    fits ten times better, as with points in one plane.
+    `local` (n, 3) [m] are the targets with counter-clockwise azimuth. None if neither sense fits ten times better, such
+    as for points in one plane.
     """
     votes = []
     for s in np.unique(table.station):
@@ -219,13 +234,16 @@ def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Fl
         if len(np.unique(table.target[rows])) < 4:
             continue
         misfit = _misfits(local[rows], np.array([place_of[int(t)] for t in table.target[rows]]))
-        if max(misfit) > CLEARLY * min(misfit):
+        if max(misfit) > MIN_MISFIT_RATIO * min(misfit):
             votes.append(int(np.argmin(misfit)))
     return _vote(votes)
 
 
 def _misfits(source: Floats, goal: Floats) -> list[float]:
-    """[m] Median misfit of points (n, 3) and of their mirror image, moved rigidly to others; 1 where none fits."""
+    """Median misfits [m] of points (n, 3) and of their mirror image after rigid alignment to others.
+
+    It is 1 if no alignment exists.
+    """
     misfits = []
     for side in (1.0, -1.0):
         image = source * [1.0, side, 1.0]
@@ -238,7 +256,7 @@ def _misfits(source: Floats, goal: Floats) -> list[float]:
 
 
 def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) -> Azimuth | None:
-    """The sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
+    """Sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
     misfit = []
     for side in (1.0, -1.0):
         world = np.full_like(local, np.nan)
@@ -246,13 +264,13 @@ def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) 
             rows = table.station == s
             world[rows] = (local[rows] * [1.0, side, 1.0]) @ rotation.T + position
         misfit.append(_spread_between_stations(world, table))
-    if not np.all(np.isfinite(misfit)) or max(misfit) < CLEARLY * min(misfit):
+    if not np.all(np.isfinite(misfit)) or max(misfit) < MIN_MISFIT_RATIO * min(misfit):
         return None
     return _vote([int(np.argmin(misfit))])
 
 
 def _spread_between_stations(world: Floats, table: PolarTable) -> float:
-    """Median distance between sightings of a target from different stations; NaN where none has two."""
+    """Median distance between the positions of a target from different stations; NaN without such a target."""
     places_of: dict[int, list[Floats]] = {}
     for cloud in clouds_of(world, table.station, table.target).values():
         for target, point in cloud.items():
@@ -267,15 +285,15 @@ def _vote(votes: list[int]) -> Azimuth | None:
     return "clockwise" if votes[0] else "counter-clockwise"
 
 
-def pace(recording: Recording) -> tuple[str, ...]:
-    """Question about the clock of a recording: turning from one target to the next takes seconds to minutes."""
+def pace_question(recording: Recording) -> tuple[str, ...]:
+    """Question about the clock of a recording whose median time between targets is implausible; empty otherwise."""
     turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     steps = np.abs(np.diff(recording.time))[turned]
     steps = steps[np.isfinite(steps)]
-    if not recording.has_clock or len(steps) < LEAST_STEPS:
+    if not recording.has_clock or len(steps) < MIN_STEPS:
         return ()
     step = float(np.median(steps))
-    if QUICKEST_S <= step <= SLOWEST_S:
+    if MIN_PACE_S <= step <= MAX_PACE_S:
         return ()
     span = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
@@ -285,21 +303,21 @@ def pace(recording: Recording) -> tuple[str, ...]:
 
 
 def vertical_pointings(recording: Recording) -> tuple[str, ...]:
-    """Note on pointings along the vertical axis, of which a network uses the distances alone."""
+    """Note on pointings along the vertical axis, of which a network uses only the distances."""
     rows = np.flatnonzero(recording.vertical & recording.measured[:, 1:].any(axis=1))
     if not len(rows):
         return ()
-    where = listing([recording.where(int(row) + 1) for row in rows], MOST_NOTES)
+    where = listing([recording.where(int(row) + 1) for row in rows], MAX_NOTES)
     return (
-        f"{where}: along the vertical axis of the tracker an azimuth holds no direction, and the angles are not used; "
+        f"{where}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
     )
 
 
 def contradictions(recording: Recording) -> tuple[str, ...]:
-    """Contradictions of set-ups or their rough places to the sense of the azimuths: only a mirror image fits.
+    """Contradictions between set-ups, or rough positions, and the sense of the azimuths: only a mirror image fits.
 
-    None for coordinates in one plane, or a floor plan that fits neither.
+    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction.
     """
     local = from_polar(recording.readings)
     table = PolarTable(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
@@ -315,11 +333,11 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
             f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
             "images: the azimuths of one of them run clockwise"
         )
-    return tuple(notes[:MOST_NOTES])
+    return tuple(notes[:MAX_NOTES])
 
 
 def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
-    """Each station that is the mirror image of the one before it with which it shares most targets."""
+    """Pairs of stations that are mirror images: each station and the previous one with which it shares most targets."""
     clouds = clouds_of(local, recording.station, recording.target)
     pairs = []
     for s, cloud in clouds.items():
@@ -330,13 +348,13 @@ def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]
             continue
         here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
         right, mirrored = _misfits(here, there)
-        if right > CLEARLY * mirrored and mirrored < MIRROR_SHARE * float(np.ptp(there, axis=0).max()):
+        if right > MIN_MISFIT_RATIO * mirrored and mirrored < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
             pairs.append((other, s))
     return pairs
 
 
 def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, Pose]:
-    """Rough poses of stations by the floor plan: place and direction of zero."""
+    """Rough poses of stations by index, from the floor plan: position and direction of azimuth zero."""
     poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)

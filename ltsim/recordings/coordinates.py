@@ -1,10 +1,10 @@
-"""Lists of coordinates: the reader of names with x, y, z for every command that takes such a file.
+"""Lists of coordinates: the reader of names with x, y, z that every command uses for such a file.
 
 `read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
-``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations stand in
-``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line is a name and three
-numbers, which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance may
-follow, as SpatialAnalyzer writes them.
+``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations are in
+``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line has a name and three
+numbers, after which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance
+may follow, as SpatialAnalyzer writes them.
 
 `read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` in the same folder
 (the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or results of gama-local (XML).
@@ -38,16 +38,16 @@ from ltsim.recordings.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.recordings.xml import Node, banded, parse
 
 AXES = "xyz"
-SYMMETRIC = 1e-6
-"""Largest asymmetry of a covariance that rounding explains, relative to its variances."""
-DEFINITE = -1e-9
-"""Smallest eigenvalue of correlations that rounding explains."""
-LARGEST_M = 500.0
-"""Largest coordinate of a list without a unit that is interpreted as metres."""
-GRID = 1e6
-"""Numbers as large as these are coordinates of a national grid, in metres."""
-GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Words of surveyors' lists, which are in metres where they state no unit."""
+MAX_ASYMMETRY = 1e-6
+"""Largest relative asymmetry of a covariance matrix that rounding explains; a larger one is an error."""
+MIN_CORRELATION_EIGENVALUE = -1e-9
+"""Smallest eigenvalue of a correlation matrix that rounding explains; a smaller one is an error."""
+MAX_METRES = 500.0
+"""Largest coordinate up to which a list without a unit is interpreted as metres."""
+MIN_GRID_COORDINATE = 1e6
+"""Coordinate from which numbers are interpreted as a national grid, in metres."""
+GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
+"""Column titles of surveyors' lists, which are in metres if they state no unit."""
 WIDTHS = (4, 7, 8, 16, 17)
 EXPECTED = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
@@ -57,35 +57,37 @@ EXPECTED = (
 
 @dataclass(frozen=True)
 class Points:
-    """A list of n named points, in the order of its file."""
+    """List of n named points, in the order of its file."""
 
     names: tuple[str, ...]
     points: Floats
-    """(n, 3) [m]; NaN where the list leaves a coordinate out."""
+    """Coordinates (n, 3) [m]; NaN for a coordinate that the list does not give."""
     covariance: Floats
-    """(n, 3, 3) [m^2]; NaN where none is given."""
+    """Covariance of each point, (n, 3, 3) [m^2]; NaN if not given."""
     notes: tuple[str, ...] = ()
     further: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """(n,) texts of each further column by its header."""
+    """Texts of each additional column by its header, n each."""
     lines: tuple[int, ...] = ()
-    """(n,) line of the file that each stands in."""
+    """Line number of each point in the file."""
     contradictory: int = 0
-    """Rows that list a point of the same name with other coordinates, and are left out."""
+    """Number of rows that repeat a name with other coordinates and are ignored."""
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (n, 3) [m]; NaN where none is given."""
+        """Standard deviations (n, 3) [m]; NaN if not given."""
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
     @property
     def by_name(self) -> dict[str, Floats]:
-        """Coordinates (3,) [m] of the points that have all three."""
+        """Coordinates (3,) [m] of each point that has all three, by name."""
         whole = np.asarray(np.isfinite(self.points).all(axis=1))
         return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
 
 
 def read_points(path: str | Path, *, strict: bool = True) -> Points:
-    """Read a list of points: without a unit in the header metres if none reaches 500, which a note reports.
+    """List of points from a file.
+
+    Without a unit in the header it is in metres if no coordinate reaches 500, and a note reports that.
 
     Parameters
     ----------
@@ -102,32 +104,32 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
     for sheet in sheets_of(path):
         header = _header_of(sheet.rows) or _without_header(sheet)
         if header is not None:
-            return _List(sheet, *header).points(strict=strict)
-    raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
+            return _PointRows(sheet, *header).points(strict=strict)
+    raise RecordError(f"is not a list of coordinates, {EXPECTED}", file=path)
 
 
 def recognises(head: str) -> bool:
-    """True if the first lines of a file are those of a list of points without a header, or its header."""
+    """True if the first lines of a file are a list of points without a header, or the header of one."""
     rows = rows_of_head(head)
     header = _header_of(rows)
     body = [row for row in rows[0 if header is None else header[0] :] if not row.comment]
     if header is not None:
         return not body or body[0].values > 1
-    whole = [_filled(row) for row in body[: max(1, min(6, len(body)) - 1)]]
+    whole = [_without_trailing_field(row) for row in body[: max(1, min(6, len(body)) - 1)]]
     return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in whole)
 
 
-def _filled(row: Row) -> Sequence[str]:
-    """Fields without the empty one that a separator at the end of the line makes."""
+def _without_trailing_field(row: Row) -> Sequence[str]:
+    """Fields of a row without the empty one after a separator at the end of the line."""
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
 def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
-    """Columns of lines of a name and numbers; None where the first ones are something else."""
+    """Number of the first row and columns of a list without header (name and numbers); None for other content."""
     first = next((row for row in sheet.rows if not row.comment), None)
-    if first is None or not all(map(cells.is_value, _filled(first)[1:])):
+    if first is None or not all(map(cells.is_value, _without_trailing_field(first)[1:])):
         return None
-    width = len(_filled(first))
+    width = len(_without_trailing_field(first))
     if width not in WIDTHS:
         raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED}")
     names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
@@ -137,7 +139,7 @@ def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
 
 
 def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
-    """The first row that names coordinates: the place of the one below it, and its columns."""
+    """Number of the row after the header, and the columns that the header names."""
     for place, row in enumerate(rows):
         if not count_of_roles(row.fields) or row.values:
             continue
@@ -157,8 +159,8 @@ def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
     return None
 
 
-class _List:
-    """The rows of a sheet from `start` on, by its columns."""
+class _PointRows:
+    """Rows of a sheet from row `start` on, with the meaning of its columns."""
 
     def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
@@ -168,7 +170,7 @@ class _List:
         self.name = next(c for c in columns if c.role == "target")
 
     def points(self, *, strict: bool) -> Points:
-        """The points that it holds."""
+        """Points in these rows."""
         self.sheet.check_whole(self.width)
         listed: dict[str, tuple[Row, list[float]]] = {}
         notes = []
@@ -196,9 +198,9 @@ class _List:
         return Points(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
 
     def _values(self, row: Row) -> tuple[str, list[float]]:
-        """Name and numbers of one row; NaN where a cell is empty."""
+        """Name and numbers of one row; NaN for an empty cell."""
         where = SourceLocation(self.sheet.file, row.line)
-        if len(_filled(row)) != self.width:
+        if len(_without_trailing_field(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
         values = []
         for role, column in self.numbers.items():
@@ -210,19 +212,19 @@ class _List:
         return where.name(plain(row.cell(self.name.place)), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factor of each number to metres (square metres for covariances), and notes on decisions."""
+        """Factors from each number to metres (square metres for covariances), and notes on decisions."""
         axes = [c for c in self.numbers.values() if c.role in PLACE]
         largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
         declared = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
-        surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
-        chosen = declared or ("m" if surveyed or largest < LARGEST_M else "mm")
+        surveyed = largest >= MIN_GRID_COORDINATE or any(words_of(c.title)[0] in GEODETIC_TITLES for c in axes)
+        chosen = declared or ("m" if surveyed or largest < MAX_METRES else "mm")
         notes = [] if declared else [f"coordinates are interpreted as {chosen} (the largest is {largest:.6g})"]
         scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
 def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
-    """The covariance (n, 3, 3) [m^2] that a list states: in full, by axis, or one for all."""
+    """Covariance (n, 3, 3) [m^2] from a full matrix, standard deviations by axis, or one for all axes."""
     if "covariance 0" in numbers:
         full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
@@ -235,27 +237,27 @@ def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Points of one epoch along the d axes that were measured."""
+    """Points of one epoch, along the d axes that were measured, with their joint covariance."""
 
     title: str
     names: tuple[str, ...]
-    """(T,)."""
+    """Names of the T points."""
     axes: str
-    """The measured ones of x, y, z."""
+    """Measured axes, a selection of `xyz`."""
     points: Floats
-    """(T, 3) [m]: 0 along the other axes."""
+    """Coordinates (T, 3) [m]; 0 along axes that were not measured."""
     covariance: Floats
-    """Point by point, axis by axis, (T d, T d) [m^2]."""
+    """Joint covariance (T d, T d) [m^2], ordered point by point and axis by axis."""
     notes: tuple[str, ...] = ()
 
     @property
     def along(self) -> Ints:
-        """(d,) numbers of the measured axes."""
+        """Indices (d,) of the measured axes."""
         return np.array([AXES.index(axis) for axis in self.axes])
 
 
 def holds_coordinates(path: Path) -> bool:
-    """True if a file is one of `read_coordinates`."""
+    """True if `read_coordinates` reads this file."""
     if not path.is_file():
         return False
     with path.open("rb") as stream:
@@ -264,12 +266,12 @@ def holds_coordinates(path: Path) -> bool:
 
 
 def read_coordinates(path: Path) -> Coordinates:
-    """The coordinates of one epoch with their covariance.
+    """Coordinates of one epoch with their covariance, from a file.
 
     Raises
     ------
     RecordError
-        One sentence: what is wrong, and where.
+        The error and its place in the file.
     """
     if not path.exists():
         raise RecordError("there is no such file", file=path)
@@ -278,28 +280,26 @@ def read_coordinates(path: Path) -> Coordinates:
     epoch = _from_gama(path) if is_xml else _from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
-        raise RecordError(f"holds the point '{shown(twice)}' twice", file=path)
+        raise RecordError(f"contains the point '{shown(twice)}' twice", file=path)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{shown(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < DEFINITE * len(sigma):
-        raise RecordError(
-            "has a covariance that is negative in some direction: some of its entries are wrong", file=path
-        )
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE * len(sigma):
+        raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch
 
 
 def _from_gama(path: Path) -> Coordinates:
-    """Adjusted points and the upper band of their covariance [mm^2]."""
+    """Adjusted points of gama-local with their covariance, from its upper band [mm^2]."""
     parts = {node.tag: node for node in parse(path).inside("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= parts.keys():
-        raise RecordError("holds no <adjusted> points with their <cov-mat>", file=path)
+        raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
     rows = [{cell.tag.lower(): cell for cell in point} for point in parts["adjusted"]]
     kinds = {"".join(axis for axis in AXES if axis in row) for row in rows}
     if len(kinds) != 1 or not (axes := kinds.pop()):
-        raise RecordError("holds points with other coordinates than the first has; give those of one kind", file=path)
+        raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
     points = np.zeros((len(rows), 3))
     points[:, [AXES.index(axis) for axis in axes]] = [[_number(row[axis]) for axis in axes] for row in rows]
     band = {cell.tag: cell for cell in parts["cov-mat"]}
@@ -309,7 +309,7 @@ def _from_gama(path: Path) -> Coordinates:
     )
     used = len(rows) * len(axes)
     if size < used:
-        raise RecordError(f"has a <cov-mat> of another size than its {used} coordinates ask for", file=path)
+        raise RecordError(f"has a <cov-mat> whose size does not match its {used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = parts["description"].text if "description" in parts else ""
@@ -322,7 +322,7 @@ def _number(cell: Node) -> float:
 
 
 def _from_list(path: Path) -> Coordinates:
-    """List of points along its axes, with the covariance in the file next to it or in its columns."""
+    """Points of a list along its axes; their covariance is in a companion file or in columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
     axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
@@ -349,7 +349,7 @@ def _from_list(path: Path) -> Coordinates:
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
-    """The content of ``NAME.covariance.csv``: a covariance [m^2] of coordinates such as ``TARGET.x``, in mm^2."""
+    """Content of ``NAME.covariance.csv``: a covariance [m^2] converted to mm^2, with headers such as ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = list(map(guarded, coordinates))
@@ -360,7 +360,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
 
 
 def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
-    """The entries of a covariance, its coordinates by name in any order."""
+    """Covariance matrix from a file whose coordinates are named and may be in any order."""
     sheet = sheets_of(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.comment]
     names = list(map(plain, first.fields[1:]))
@@ -369,10 +369,10 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
         what = f"the coordinate {shown(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
-        raise RecordError("holds rows of another length than its header", file=path)
+        raise RecordError("has rows whose length differs from the header", file=path)
     matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     size = np.sqrt(np.abs(np.diag(matrix)))
-    if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
+    if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)
     at = [names.index(name) for name in wanted]
     return 0.5 * (matrix + matrix.T)[np.ix_(at, at)]

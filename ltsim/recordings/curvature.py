@@ -1,23 +1,24 @@
-"""Plumb lines of a round earth, where sights of levelled set-ups are long enough to show them."""
+"""Curvature of the earth: directions of the vertical of set-ups whose lines of sight are long enough to be affected."""
 
 import numpy as np
 
 from ltsim.core.units import EARTH, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
-NOTICEABLE = 0.1
-"""Curvature of the earth over a sight, in the noise of its elevation, from which it is modelled."""
+MIN_CURVATURE = 0.1
+"""Angle of the earth's curvature over a line of sight, in sigma of its elevation, from which it is modelled."""
 
 REFRACTION = 0.13, 0.1
-"""Coefficient of refraction near the ground, radius of the earth over that of the ray, and its standard deviation
-(Gauss's mean value; Brunner 1984, Geodetic Refraction)."""
+"""Coefficient of refraction near the ground (radius of the earth divided by that of the ray) and its standard
+deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
+"""
 
 
 def on_round_earth(recording: Recording) -> Recording:
-    """Recording with plumb lines that differ by place (`curved`) and refraction, unless its set-up sets them itself.
+    """Recording with position-dependent verticals (`curved`) and refraction, unless its set-up declares them itself.
 
     Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
-    `NOTICEABLE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
+    `MIN_CURVATURE` times the noise of the elevation on. Refraction is the share k of it, with the same limit.
     """
     setup = recording.setup
     levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
@@ -25,16 +26,16 @@ def on_round_earth(recording: Recording) -> Recording:
         return recording
     length = np.where(levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
     angle = float(np.nanmax(length / (2.0 * EARTH) / recording.sigma()[:, 2], initial=0.0))
-    if not angle > NOTICEABLE:
+    if not angle > MIN_CURVATURE:
         return recording
     changes: dict[str, object] = {"curved": True}
     longest = float(np.nanmax(length))
     drop = longest**2 / (2.0 * EARTH) / MILLIMETRE
     note = (
-        f"levelled set-ups stand on a round earth: over the longest sight, {longest:.4g} m, a level surface leaves the "
-        f"plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
+        f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface leaves "
+        f"the plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel)"
     )
-    if setup.refraction is None and sum(REFRACTION) * angle > NOTICEABLE:
+    if setup.refraction is None and sum(REFRACTION) * angle > MIN_CURVATURE:
         changes["refraction"] = REFRACTION
         note += (
             f"; the coefficient of refraction is estimated from {REFRACTION[0]:g} +- {REFRACTION[1]:g}, which "

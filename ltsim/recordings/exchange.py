@@ -1,4 +1,4 @@
-"""Reading a recording in whatever format it comes, writing it in those that others read."""
+"""Reader and writer of recordings in any supported format."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name
 from ltsim.recordings import coordinates, native
-from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace, vertical_pointings
-from ltsim.recordings.files import decoded, universal
+from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace_question, vertical_pointings
+from ltsim.recordings.files import decoded, unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import sentence
@@ -18,14 +18,14 @@ from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
 
 RecordingSource = Recording | str | Path
-"""A recording, or a file or folder that holds one."""
+"""Recording, or the file or folder that contains one."""
 HEAD = 16_384
-LEAST_POSES = 2
-"""Contradictory rows of a list of points that make it one of positions of a moving target."""
+MIN_POSES = 2
+"""Number of contradictory rows of a list of points from which it is taken for positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
-POINT_LIST = "names and coordinates, which are refused as a recording"
-TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
+POINT_LIST = "names and coordinates, which are not a recording"
+TABLE = "delimited text with a header, a folder with one file per station, or a workbook"
 
 
 Write = Callable[[Recording, Path], None]
@@ -33,7 +33,7 @@ Write = Callable[[Recording, Path], None]
 
 @dataclass(frozen=True)
 class Format:
-    """File format: recognition by the first characters, reader, and writer if there is one.
+    """File format: recognition by the first characters, reader, and writer (if there is one).
 
     `suffixes` decide only between formats that both recognise a file.
     """
@@ -58,7 +58,7 @@ def _refuse_points(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, strict=False)
     count = len(listed.names)
     message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
-    if listed.contradictory >= max(count, LEAST_POSES):
+    if listed.contradictory >= max(count, MIN_POSES):
         names = "one name" if count == 1 else f"{count} names"
         rows = f"{count + listed.contradictory} positions under {names} ('{listed.names[0]}')"
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
@@ -81,7 +81,7 @@ FORMATS: tuple[Format, ...] = (
 
 
 def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
-    """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
+    """Recording from a file or folder in any supported format.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     format : str, optional
         Name of the format; default by content, then by suffix.
     hints : Hints, optional
-        What an ambiguous file means: `ltsim.recordings.Hints`.
+        Decisions on an ambiguous file.
 
     Raises
     ------
     RecordError
-        One sentence: what is wrong and where, or which hint is wanted.
+        The error and its place, or the hint that is needed.
     """
     path = Path(path)
     hints = hints or NO_HINTS
@@ -105,12 +105,12 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         recording = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    notes = *recording.notes, *contradictions(recording), *pace(recording), *vertical_pointings(recording)
+    notes = *recording.notes, *contradictions(recording), *pace_question(recording), *vertical_pointings(recording)
     return recording.replace(notes=notes)
 
 
 def is_recording(path: Path) -> bool:
-    """True if a file or folder is in one of the formats known here."""
+    """True if a file or folder is in one of the supported formats."""
     try:
         recognised(path)
     except RecordError:
@@ -119,36 +119,36 @@ def is_recording(path: Path) -> bool:
 
 
 def recording_of(source: RecordingSource) -> Recording:
-    """The recording itself, read where a path was given; raises RecordError where it is neither."""
+    """Recording of a source, read from its path if necessary; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
 
 
 def recognised(path: Path) -> Format:
-    """The format of a file or folder; raises RecordError when nothing is there, or no format fits."""
+    """Format of a file or folder; raises RecordError if it does not exist or has no supported format."""
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
     if not (path / native.OBSERVATIONS).is_file() and (inside := sorted(path.glob(f"*/{native.OBSERVATIONS}"))):
-        raise RecordError(f"is no recording, but holds {len(inside)}; give {inside[0].parent}", file=path)
+        raise RecordError(f"is not a recording, but contains {len(inside)}; give {inside[0].parent}", file=path)
     head = ""
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                head = universal(decoded(stream.read(HEAD)))
+                head = unix_line_ends(decoded(stream.read(HEAD)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
     fitting = [f for f in FORMATS if f.recognises(path, head)]
     if not fitting:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
-        raise RecordError(f"is in none of the formats that are read: {formats}", file=path)
+        raise RecordError(f"has none of the formats that ltsim reads: {formats}", file=path)
     return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
 
 
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
-    """Write a recording in one of the formats that can be written.
+    """Export of a recording to one of the formats with a writer.
 
-    Raises RecordError when the format cannot hold it or the place cannot be written; nothing half-written stays behind.
+    Raises RecordError if the format cannot represent it or the path cannot be written; no partial file remains.
     """
     able = tuple(f for f in FORMATS if f.write is not None)
     writer = _named(format, able).write

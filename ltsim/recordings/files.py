@@ -1,4 +1,4 @@
-"""Bounded reading of files, the numbers and names in them, and writing without leaving half a file."""
+"""Bounded reading of files, checks of the numbers and names in them, and atomic writing."""
 
 import codecs
 import re
@@ -12,7 +12,7 @@ from ltsim.core.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
 from ltsim.core.storage import write_files
 
 MAX_NAME = 100
-LONGEST_NUMBER = 40
+MAX_NUMBER_LENGTH = 40
 MAX_TEXT, TITLE = 500, 120
 UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
 _OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
@@ -22,7 +22,7 @@ _FORBIDDEN = re.compile(r"[<>/\\]")
 
 
 def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
-    """The content of a file of at most `most` bytes.
+    """Content of a file of at most `most` bytes.
 
     Raises RecordError when it is missing, a folder, unreadable, empty or too large.
     """
@@ -32,19 +32,22 @@ def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
     except FileNotFoundError:
         raise RecordError("there is no such file", file=path) from None
     except IsADirectoryError:
-        raise RecordError("this is a folder, expected a file", file=path) from None
+        raise RecordError("the path is a folder, expected a file", file=path) from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
         raise RecordError(f"cannot be read ({reason})", file=path) from None
     if len(content) > most:
-        raise RecordError(f"is larger than {most // MIB} MiB, the most that is read", file=path)
+        raise RecordError(f"is larger than {most // MIB} MiB, the limit for reading", file=path)
     if not content.strip():
         raise RecordError("is empty", file=path)
     return content
 
 
 def decoded(content: bytes) -> str:
-    """The text of the first bytes of a file: UTF-16 by its byte-order mark, UTF-8, or Latin-1; a cut character goes."""
+    """Text of the first bytes of a file: UTF-16 by its byte-order mark, UTF-8, or Latin-1.
+
+    An incomplete last character is dropped.
+    """
     if content.startswith(UTF16):
         return content.decode("utf-16", errors="replace")
     try:
@@ -54,14 +57,17 @@ def decoded(content: bytes) -> str:
 
 
 def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> str:
-    """Text of a file of at most `most` bytes in UTF-8 or UTF-16; `liberal` takes what is neither for Windows-1252."""
+    """Text of a file of at most `most` bytes, in UTF-8 or UTF-16.
+
+    With `liberal` any other encoding is read as Windows-1252.
+    """
     content = read_bytes(path, most)
     if content.startswith(UTF16):
         content = decoded(content).encode()
     elif b"\x00" in content[1:2] and liberal:
         content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
-        raise RecordError("holds binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
+        raise RecordError("contains binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -72,13 +78,13 @@ def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> s
 
 
 def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
-    """Lines of a text file without line breaks, which are those of Unix, Windows or the old Macintosh.
+    """Lines of a text file without their line breaks (Unix, Windows or old Macintosh).
 
     Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
     """
-    text = universal(read_text(path, liberal=liberal))
+    text = unix_line_ends(read_text(path, liberal=liberal))
     if text.count("\n") > LINES:
-        raise RecordError(f"has more than {LINES} lines, the most that is read", file=path)
+        raise RecordError(f"has more than {LINES} lines, the limit for reading", file=path)
     lines = text.split("\n")
     for i, line in enumerate(lines):
         if len(line) > LINE_CHARACTERS:
@@ -86,14 +92,14 @@ def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     return lines
 
 
-def universal(text: str) -> str:
-    """Text whose lines all end as those of Unix do."""
+def unix_line_ends(text: str) -> str:
+    """Text with all line breaks converted to those of Unix."""
     return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
 
 
 def is_number(text: str) -> bool:
     """True if `text` is a decimal number in plain ASCII."""
-    return len(text) <= LONGEST_NUMBER and NUMBER.fullmatch(text) is not None
+    return len(text) <= MAX_NUMBER_LENGTH and NUMBER.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:
@@ -102,27 +108,27 @@ def is_not_finite(text: str) -> bool:
 
 
 def shown(text: str, length: int = 40) -> str:
-    """`text` as it can stand in a one-line message: printable and short."""
+    """`text` in a form for a one-line message: printable and short."""
     clean = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
     return clean if len(clean) <= length else clean[:length] + "..."
 
 
 @dataclass(frozen=True, slots=True)
 class SourceLocation:
-    """Location in a file, which every check of its content names in its error."""
+    """Location in a file (file, row, column), which the checks of its content name in their errors."""
 
     file: object = None
     row: int | None = None
     column: str | None = None
 
     def error(self, message: str, column: str | None = None) -> RecordError:
-        """Error to raise for the content of this location."""
+        """RecordError for the content of this location, to be raised by the caller."""
         return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
 
     def number(self, text: str, column: str | None = None, *, limit: float = 1e12, comma: bool = False) -> float:
-        """A finite decimal number of at most `limit` in size, perhaps with a decimal `comma`.
+        """Finite decimal number of at most `limit` in magnitude, optionally with a decimal `comma`.
 
-        Raises RecordError for anything else; NaN, infinities and digits of other scripts included.
+        Raises RecordError for any other text, including NaN, infinities and digits of other scripts.
         """
         text = text.strip().replace(",", ".", 1) if comma else text.strip()
         if not is_number(text):
@@ -135,12 +141,12 @@ class SourceLocation:
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:
-        """`name` itself when it can serve as the name of a station, target or instrument; raises RecordError.
+        """The name, checked as the name of a station, target or instrument; raises RecordError.
 
-        Names end up in tables, pages and paths, so control characters, markup and path separators are refused.
+        Names are used in tables, pages and paths; therefore control characters, markup and path separators are refused.
         """
         if not name or name != name.strip():
-            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
+            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a space"
             raise self.error(f"the name of a {kind} {what}", column)
         reason = ""
         if len(name) > MAX_NAME:
@@ -148,7 +154,7 @@ class SourceLocation:
         elif not name.isprintable():
             reason = "holds a control character"
         elif forbidden := _FORBIDDEN.search(name):
-            reason = f"holds '{forbidden.group()}'; a name may not hold < > / or \\"
+            reason = f"holds '{forbidden.group()}'; a name may not contain < > / or \\"
         elif name in (".", ".."):
             reason = "is the name of a folder"
         if reason:
@@ -156,37 +162,37 @@ class SourceLocation:
         return name
 
     def text(self, text: str, column: str | None = None) -> str:
-        """`text` itself when it is a short line without control characters or markup; raises RecordError."""
+        """The text, checked as a short line without control characters or markup; raises RecordError."""
         markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_TEXT or markup:
-            reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
+            reason = "contains control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
             raise self.error(f"the text '{shown(text)}' {reason}", column)
         return text
 
 
 def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
-    """`SourceLocation.number` with a decimal point or comma."""
+    """Number as of `SourceLocation.number`, with a decimal point or comma."""
     return SourceLocation(file, row, column).number(text, comma=True)
 
 
 def as_title(text: str) -> str:
-    """A foreign title in one line that heads a page: of a whole description as many words as go on it."""
+    """Title from a foreign file as one line of limited length."""
     line = textwrap.shorten(text, TITLE, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 
 def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
-    """Write files into `folder` (a name may lead through a folder), all or none, as `ltsim.core.storage.write_files`.
+    """Atomic writing of files into `folder` (names may contain subfolders), as `ltsim.core.storage.write_files`.
 
-    Raises RecordError when the folder cannot be made or written to, or a link leads out of it.
+    Raises RecordError if the folder cannot be created or written to, or a link leads out of it.
     """
     try:
         write_files(folder, {name: t.encode() if isinstance(t, str) else t for name, t in texts.items()})
     except (OSError, UnicodeEncodeError) as problem:
-        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot hold"
+        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot represent"
         raise RecordError(f"cannot be written ({reason})", file=folder) from None
 
 
 def write_text(path: Path, text: str | bytes) -> None:
-    """Write one file at once: to a temporary sibling that then takes its place."""
+    """Atomic writing of one file: a temporary file is renamed to it."""
     write_texts(path.parent, {path.name: text})

@@ -1,4 +1,4 @@
-"""Types of the keys of a file that a person writes, and the base of its tables."""
+"""Types of the keys of user-written files, and the base class of their tables."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 
 def _nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not max(abs(component) for component in vector) > SHORT:
+    if not max(abs(component) for component in vector) > MIN_VECTOR_LENGTH:
         raise ValueError("a direction should not have length zero")
     return vector
 
 
 def _not_tiny(value: float) -> float:
-    if value < LEAST_POSITIVE:
-        raise ValueError(f"it should be at least {LEAST_POSITIVE:g}")
+    if value < MIN_POSITIVE:
+        raise ValueError(f"it should be at least {MIN_POSITIVE:g}")
     return value
 
 
@@ -43,13 +43,13 @@ def _definite(entries: tuple[float, ...]) -> tuple[float, ...]:
 
     matrix = symmetric(entries)
     sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    if sigma.min() < LEAST_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < DEFINITE:
+    if sigma.min() < MIN_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE:
         raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
     return entries
 
 
 def symmetric(entries: tuple[float, ...]) -> Floats:
-    """The matrix (3, 3) whose upper triangle is xx, xy, xz, yy, yz, zz."""
+    """Symmetric matrix (3, 3) from its upper triangle xx, xy, xz, yy, yz, zz."""
     import numpy as np
 
     matrix = np.zeros((3, 3))
@@ -57,31 +57,33 @@ def symmetric(entries: tuple[float, ...]) -> Floats:
     return matrix + np.triu(matrix, 1).T
 
 
-DEFINITE = 1e-9
-"""Smallest eigenvalue of correlations that is distinguishable from zero."""
-SHORT = 1e-6
-"""Length below which a vector has no direction."""
+MIN_EIGENVALUE = 1e-9
+"""Smallest eigenvalue of a correlation matrix that counts as positive."""
+MIN_VECTOR_LENGTH = 1e-6
+"""Length below which a vector has no usable direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
-LEAST_POSITIVE = 1e-9
-"""Smallest number that must not be zero, in the unit of its key: results are divided by it and by its square."""
+MIN_POSITIVE = 1e-9
+"""Smallest permitted value of a positive number, in the unit of its key, because results are divided by it and by its
+square.
+"""
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_not_tiny)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Line = Annotated[str, Field(max_length=200), AfterValidator(_single_line)]
 Date = Annotated[str, AfterValidator(_calendar_date)]
-LEAST_SIGMA = 1e-6
-"""[mm, arcsec, ppm] Smallest standard deviation: below it weights lose their digits."""
-Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
+MIN_SIGMA = 1e-6
+"""Smallest permitted standard deviation [mm, arcsec, ppm]: below it weights lose their digits."""
+Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Covariance = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_definite)]
 Direction = Annotated[Vector, AfterValidator(_nonzero)]
 EXACT_LEVEL_ARCSEC = 1e-3
-"""Levelling sigma of formats whose instruments are levelled exactly (gama-local, LGC without ROT3D)."""
+"""Levelling sigma [arcsec] for formats whose instruments are levelled exactly (gama-local, LGC without ROT3D)."""
 
 
 class TomlSection(DescribedModel):
-    """A table of the file: unknown keys are refused, values cannot change."""
+    """Table of a user-written file: unknown keys are errors, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

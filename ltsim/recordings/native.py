@@ -4,7 +4,7 @@ import csv
 import difflib
 import io
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from ltsim.core.results import guarded, plain
 from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
-    LONGEST_NUMBER,
+    MAX_NUMBER_LENGTH,
     NUMBER,
     SourceLocation,
     is_not_finite,
@@ -39,7 +39,7 @@ from ltsim.recordings.references import ReferenceLengths, check_differences
 from ltsim.recordings.reflectors import excess_radii, smrs_of
 from ltsim.recordings.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import overruled
+from ltsim.recordings.specification import deviating_keys
 from ltsim.recordings.tables.sheets import Row, is_folder
 from ltsim.recordings.transcription_errors import check_degrees
 
@@ -62,16 +62,20 @@ BOUNDS = {
 OTHERS = ("k", "f", "pa", "bar", "inch")
 
 
+REPEATED = 10_000
+"""Texts of cells that are kept once where they occur again, such as names."""
+
+
 def recognises(path: Path, head: str) -> bool:
-    """True if this is a folder, or its table of observations."""
+    """True for a recording folder or its `observations.csv`."""
     return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
 
 
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read a recording folder (or the `observations.csv` in it); raises RecordError.
+    """Recording of a folder (or of the `observations.csv` in it); raises RecordError.
 
-    Of a recording that is still growing (`hints.incomplete_tail`) a last row without an end is left out, and reference
-    lengths may lack their targets. Azimuths that `hints` says to be clockwise are turned over.
+    For a recording that is still growing (`hints.incomplete_tail`) an incomplete last row is ignored, and targets of
+    reference lengths may be missing. Azimuths that `hints` declares clockwise are reversed.
     """
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
@@ -84,18 +88,20 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
-    """Header and rows, all of one length."""
+    """Header and rows of the table, all of equal length."""
     lines = read_lines(path)
     if lines[-1] and incomplete_tail:
         lines = lines[:-1]
     elif lines[-1]:
         raise SourceLocation(path, len(lines) - 1).error(
-            "the file ends inside this row, without a line break: it was cut"
+            "the file ends inside this row, without a line break, and is incomplete"
         )
-    rows: list[list[str]] = []
+    rows, texts = list[list[str]](), dict[str, str]()
     try:
-        for fields in csv.reader(lines, strict=True):
-            cells = [field.strip() for field in fields]
+        for fields in csv.reader(_released(lines), strict=True):
+            cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
+            if len(texts) < REPEATED:
+                texts.update(zip(cells, cells, strict=True))
             if any(cells):
                 if len(cells) > FIELDS:
                     raise SourceLocation(path, len(rows)).error(f"{len(cells)} columns, expected at most {FIELDS}")
@@ -105,12 +111,19 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     except csv.Error as problem:
         raise SourceLocation(path, len(rows)).error(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
-        raise RecordError("holds a header only, expected one row a pointing", file=path)
+        raise RecordError("contains only a header, expected one row per pointing", file=path)
     return rows
 
 
+def _released(lines: list[str]) -> Iterator[str]:
+    """The lines in order; each is removed from the list, so that their memory becomes free."""
+    lines.reverse()
+    while lines:
+        yield lines.pop()
+
+
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
-    """A recording of the header and rows of its table; `folder` is named in errors."""
+    """Recording from the header and rows of its table; `folder` is named in errors."""
     file = folder / OBSERVATIONS
     header = list(map(plain, rows[0]))
     _check_header(header, file)
@@ -124,7 +137,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
     measured = np.stack([_floats(columns[name], SourceLocation(file, column=name)) for name in MEASURED], axis=1)
     nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
     if len(nothing):
-        message = "nothing was measured here, expected an azimuth, an elevation or a distance"
+        message = "the row has no reading, expected an azimuth, an elevation or a distance"
         raise SourceLocation(file, int(nothing[0]) + 1).error(message)
     check_degrees(measured, station, target, face, file)
     covariates, labels = _further(columns, file)
@@ -150,10 +163,10 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
-    """Every required column once, none in another unit."""
+    """Check that every required column occurs once and in the right unit."""
     where = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
-        raise where.error("the header holds ';' or tabs, expected commas between columns")
+        raise where.error("the header contains ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
         where.text(name)
         if not name:
@@ -183,12 +196,12 @@ def _whole(column: list[str], where: SourceLocation, bounds: tuple[int, int]) ->
 
 
 def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) -> Floats:
-    """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
+    """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
     low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
     filled = [i for i, text in enumerate(column) if text or not optional]
     texts = [column[i] for i in filled]
-    if max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, texts)):
+    if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER.fullmatch, texts)):
         values[filled] = list(map(float, texts))
         if np.all((values[filled] >= low) & (values[filled] <= high)):
             return values
@@ -202,7 +215,7 @@ def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) 
 
 
 def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
-    """Numeric columns as covariates, the others as labels."""
+    """Additional columns: numeric ones as covariates, the others as labels."""
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
@@ -234,7 +247,7 @@ def _check_gauge(recording: Recording, file: Path) -> None:
 
 
 def _check_smrs(recording: Recording, folder: Path) -> None:
-    """Check of SMRs with radii: every pointing names one of them, and its nest has a normal if it needs one."""
+    """Check of SMRs with radii: every pointing has one of them, and its nest has a normal where one is needed."""
     excess_radii(recording, folder / SETUP)
     names = smrs_of(recording)
     if recording.setup.reflectors and "" in names:
@@ -245,7 +258,7 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _idle_settings(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: stations, marks and points that nothing reaches, an idle radius or sheet."""
+    """Notes on settings without effect: stations, marks and points without pointings, unused radii or data sheets."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -253,10 +266,10 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
             notes.append(
                 f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
-                f"it holds nothing{_near(over, recording.targets)}"
+                f"it has no effect{_near(over, recording.targets)}"
             )
     notes += [
-        f"stations.{name} was never measured: it changes nothing{_near(name, recording.stations)}"
+        f"stations.{name} was never measured: it has no effect{_near(name, recording.stations)}"
         for name in setup.stations
         if name not in recording.stations
     ]
@@ -269,14 +282,12 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"targets.{name} is of the datum, but left out: it was never measured{_near(name, recording.targets)}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
-        if keys := overruled(entry):
-            notes.append(
-                f"{place}: {', '.join(keys)} stand above those of the data sheet {entry.sheet}, which is not used there"
-            )
+        if keys := deviating_keys(entry):
+            notes.append(f"{place}: {', '.join(keys)} replace the values of the data sheet {entry.sheet}")
     if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
-        notes.append(f"heads_sigma_mm changes nothing: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
+        notes.append(f"heads_sigma_mm has no effect: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
     if setup.reference_radius_mm is not None and not setup.reflectors:
-        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives an SMR its radius")
+        notes.append("reference_radius_mm has no effect: no table [reflectors.NAME] gives an SMR its radius")
     return tuple(notes)
 
 
@@ -286,17 +297,17 @@ def _near(name: str, names: Iterable[str]) -> str:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as a folder; both files appear whole or not at all.
+    """Writing of a recording as a folder; both files are written completely or not at all.
 
     Raises RecordError when it holds what could not be read back, or the folder cannot be written.
     """
     if path.exists() and not path.is_dir():
-        raise RecordError("this is a file, expected a folder to write the recording to", file=path)
+        raise RecordError("the path is a file, expected a folder to write the recording to", file=path)
     write_texts(path, recording_texts(recording, path))
 
 
 def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
-    """The files of a recording's folder, by name; `path` is named in errors.
+    """Contents of the files of a recording's folder, by name; `path` is named in errors.
 
     Raises RecordError when it holds names or values that could not be read back.
     """
@@ -328,7 +339,10 @@ def table_of(recording: Recording) -> list[list[str]]:
 
 
 def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
-    """Values in `unit`: `digits` decimals where they say it exactly, otherwise all digits; empty for NaN."""
+    """Numbers in `unit` as texts: with `digits` decimals if they are exact then, otherwise with all digits.
+
+    It is empty for NaN.
+    """
     there = np.isfinite(values)
     numbers = (values[there] / unit).tolist()
     texts = list(map(repr, numbers))

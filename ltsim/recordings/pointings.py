@@ -1,4 +1,4 @@
-"""Recordings from lists of pointings or single observations of foreign files."""
+"""Recordings from lists of pointings or of single observations in foreign files."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,6 +18,7 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     SIGMA_UNITS,
     Recording,
+    repeats_of,
 )
 from ltsim.recordings.setup import Setup
 
@@ -44,9 +45,9 @@ class Pointing:
 
 @dataclass(frozen=True)
 class PointingColumns:
-    """Pointings by column: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], further columns, sources.
+    """Columns of pointings: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], further columns, sources.
 
-    NaN stands for what is not measured or not stated.
+    NaN means not measured or not declared.
     """
 
     station: Sequence[str]
@@ -60,12 +61,12 @@ class PointingColumns:
 
 
 def numbered(point: str, before: int) -> str:
-    """The name of a set-up on a point that had some before: the point's, from the second on with a number."""
+    """Name of a set-up on a point: the point's name, with a number from the second set-up on."""
     return f"{point}#{before + 1}" if before else point
 
 
 def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
-    """Distinct names in order of appearance, and each one's index; raises RecordError for one that cannot be used."""
+    """Distinct names in order of appearance, and the index of each entry; raises RecordError for an invalid name."""
     place: dict[str, int] = {}
     index = []
     for row, name in enumerate(names):
@@ -76,7 +77,7 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
 
 
 def states_noise(recording: Recording) -> bool:
-    """True if sigma columns give the noise of every reading."""
+    """True if the recording has columns with the standard deviation of every reading."""
     sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NAN)
     for k, name in enumerate(SIGMA_COLUMNS):
         sigmas[:, k] = recording.covariates.get(name, NAN)
@@ -86,7 +87,7 @@ def states_noise(recording: Recording) -> bool:
 def recording_of(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """A recording of pointings in the order of the file; repeats are counted.
+    """Recording of pointings in the order of the file; repeats are numbered.
 
     Raises RecordError when there is nothing, a row measures nothing, or a name cannot be used.
     """
@@ -110,7 +111,7 @@ def recording_of(
 def recording_of_columns(
     columns: PointingColumns, setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """A recording of columns of pointings; repeats are counted. Raises RecordError as `recording_of` does."""
+    """Recording of columns of pointings; repeats are numbered. Raises RecordError as `recording_of` does."""
     stations, station = indices(columns.station, "station", file)
     targets, target = indices(columns.target, "target", file)
     empty = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
@@ -127,7 +128,7 @@ def recording_of_columns(
         station=station,
         target=target,
         face=columns.face,
-        repeat=_repeats(station, target, columns.face),
+        repeat=repeats_of(station, target, columns.face),
         time=columns.time if has_clock else np.arange(len(station), dtype=np.float64),
         readings=columns.readings,
         covariates=dict(columns.covariates),
@@ -138,20 +139,9 @@ def recording_of_columns(
     )
 
 
-def _repeats(station: Ints, target: Ints, face: Ints) -> Ints:
-    """1, 2, ... for every further pointing of one station to one target on one face."""
-    order = np.lexsort((face, target, station))
-    keys = np.stack([station, target, face], axis=1)[order]
-    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
-    counts = np.diff(begins, append=len(order))
-    repeat = np.empty(len(order), dtype=np.int64)
-    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
-    return repeat
-
-
 @dataclass(frozen=True)
 class Observed:
-    """Single observation [m, rad], its standard deviation and heights [m] (NaN: not given), its line (0: unknown)."""
+    """Single observation: value [m, rad], standard deviation, heights [m] (NaN: not given), and line (0: unknown)."""
 
     kind: Kind
     station: str
@@ -163,18 +153,19 @@ class Observed:
     horizontal: bool = False
     line: int = 0
     shared: dict[str, float] = field(default_factory=dict)
-    """Change of the value by each error that it shares with others, by name."""
+    """Change of the value by each error that it shares with other observations, by name."""
 
     @property
     def heights(self) -> tuple[float, float]:
-        """Heights [m] of instrument and target above their marks."""
+        """Heights [m] of the instrument and the target above their marks."""
         return self.instrument_height, self.target_height
 
 
 def merged(observed: Iterable[Observed], file: str) -> list[Pointing]:
-    """Pointings: the k-th direction, zenith angle and distance of a station to a target, at the same heights, are one.
+    """Pointings from single observations of a station to a target.
 
-    Standard deviations and heights stand in columns.
+    The k-th direction, zenith angle and distance at equal heights form one pointing. Standard deviations and heights
+    are in columns.
     """
     rows: list[dict[str, Observed]] = []
     open_rows: dict[tuple[str, str], list[dict[str, Observed]]] = {}
@@ -221,9 +212,9 @@ def _pointing(row: dict[str, Observed], file: str) -> Pointing:
 
 
 def settled_heights(pointings: Sequence[Pointing]) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
-    """Heights [mm] of stations and of targets that all pointings agree on, taken out of the columns.
+    """Pointings without the heights that are constant for a name, and these heights [mm] of stations and of targets.
 
-    Where those of one name differ, all such heights stay in their column.
+    If the heights of one name differ, all such heights remain in their column.
     """
     constant: list[dict[str, float]] = []
     for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):

@@ -1,4 +1,4 @@
-"""A recording in memory: one row a pointing, as structure of arrays."""
+"""Recording in memory: one row per pointing, stored as arrays by column."""
 
 from __future__ import annotations
 
@@ -12,83 +12,97 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError
+from ltsim.core.errors import ModelError, NetworkError, option
 from ltsim.core.results import Columns, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
-"""Covariates: the standard deviation of single readings, empty where the instrument's noise holds."""
+"""Covariates with the standard deviation of single readings; an empty cell means the instrument's noise."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
 ENDINGS = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
-"""Endings of the columns of each observable, in these units."""
+"""Unit suffixes of the columns of each observable."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
-"""Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
+"""Covariates with the heights of single pointings; an empty cell means the height in the set-up."""
 SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(ENDINGS)})")
-"""Covariates: change of single readings by one standard deviation of an error that they share."""
+"""Pattern of covariates with the change of single readings by one standard deviation of an error that they share."""
 BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
-"""Covariates that are no circumstances of a pointing, which a diagnosis does not try as regressors."""
+"""Covariates that describe the measurement and not its conditions; a diagnosis does not use them as regressors."""
 KIND_COLUMN = "distance_kind"
-"""Label ``slope`` (or empty) or ``horizontal`` of each distance."""
+"""Label of the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
 MODE_COLUMN = "distance_mode"
-"""Label ``adm``, ``ifm`` or empty: by which meter a distance was measured."""
+"""Label of the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
-"""Label: name of the SMR of each pointing; an empty cell leaves the target's."""
+"""Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
-LEAST_COSINE = 1e-6
+MIN_COSINE = 1e-6
 STEEP = 1e-4
-"""Cosine of the elevation below which a network uses no angle of a pointing (21 arcsec from the vertical axis).
+"""Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
+axis).
 
-There 1 arcsec across the beam is 2.8 deg of azimuth, and the elevation has a kink: no linearisation holds."""
+There 1 arcsec across the beam is 2.8 deg of azimuth, and the elevation is not differentiable, so that no linearisation
+is valid.
+"""
 OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
-"""Labels: at which occupation of a mark the instrument, and the reflector, of each pointing stood."""
+"""Labels of the occupation of a mark by the instrument, and by the reflector, of each pointing."""
 
 
 def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
-    """Standard deviation (n, 3) [m, rad, rad] of readings by the declared noise of each one's instrument (n,).
+    """Standard deviation (n, 3) [m, rad, rad] of readings by the declared noise of the instrument (n,) of each.
 
     Range: constant + ppm * range [m]; azimuth: the noise across the beam, divided by cos(elevation).
     """
     rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
     constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
-    across = np.maximum(np.abs(np.cos(elevation)), LEAST_COSINE)
+    across = np.maximum(np.abs(np.cos(elevation)), MIN_COSINE)
     return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
+
+
+def repeats_of(station: Ints, target: Ints, face: Ints) -> Ints:
+    """1, 2, ... for every further pointing of one station to one target on one face, (n,)."""
+    order = np.lexsort((face, target, station))
+    keys = np.stack([station, target, face], axis=1)[order]
+    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
+    counts = np.diff(begins, append=len(order))
+    repeat = np.empty(len(order), dtype=np.int64)
+    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
+    return repeat
 
 
 @dataclass(frozen=True, repr=False)
 class Recording(Result):
-    """Readings of a tracker network and what is known about the set-up."""
+    """Readings of a tracker network, with the prior knowledge about its set-up."""
 
     setup: Setup
     stations: tuple[str, ...]
     targets: tuple[str, ...]
-    """Names; the index arrays below point into them."""
+    """Names of the targets; `target` holds indices into them."""
     station: Ints
     target: Ints
-    """(n,) each."""
+    """Indices of station and target of each pointing, (n,) each."""
     face: Ints
-    """(n,): 1 or 2."""
+    """Face of each pointing, (n,): 1 or 2."""
     repeat: Ints
-    """(n,)."""
+    """Number of the repeat of each pointing, (n,)."""
     time: Floats
-    """Time since the start; the row number where the recording has no clock, (n,) [s]."""
+    """Time since the start of the recording, (n,) [s]; the row number in a recording without clock."""
     readings: Floats
-    """Raw range, azimuth, elevation; NaN where not measured, (n, 3) [m, rad, rad]."""
+    """Raw range, azimuth and elevation, (n, 3) [m, rad, rad]; NaN if not measured."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Every further numeric column, the instrument's air readings among them, (n,)."""
+    """Additional numeric columns, including the instrument's air readings, (n,) each."""
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Every further column of text."""
+    """Additional text columns, n entries each."""
     has_clock: bool = True
-    """False where `time` is only the row order."""
+    """True if `time` is a clock; False if it is only the row order."""
     notes: tuple[str, ...] = ()
-    """Decisions of a reader on an ambiguous file, and content that it skipped or left out: one sentence each."""
+    """Decisions of a reader on an ambiguous file, and content that it ignored, one sentence each."""
     sources: tuple[str, ...] = ()
-    """File and line that each row was read from; empty for a native recording, whose rows are those of its table."""
+    """File and line of each row; empty for a native recording, whose rows are those of its table."""
 
     def __post_init__(self) -> None:
-        """Raise ModelError for times that are not finite: every order and every drift rests on them."""
+        """Check that all times are finite; raises ModelError."""
         wrong = np.flatnonzero(~np.isfinite(np.asarray(self.time, dtype=np.float64)))
         if len(wrong):
             row, value = int(wrong[0]) + 1, self.time[wrong[0]]
@@ -102,7 +116,7 @@ class Recording(Result):
 
     @property
     def headline(self) -> str:
-        """Extent of the measurement in one line."""
+        """Number of stations, targets and pointings in one line."""
         faces = np.unique(self.face)
         in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
         title = f"{self.setup.title}: " if self.setup.title else ""
@@ -134,22 +148,22 @@ class Recording(Result):
         }
 
     def where(self, row: int) -> str:
-        """Row number `row` (from 1) in words, with the file and line that it was read from."""
+        """Text for row `row` (from 1), with the file and line that it was read from."""
         return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
     @property
     def measured(self) -> Bools:
-        """(n, 3) bool: which readings exist."""
+        """Flags (n, 3) of the readings that exist."""
         return np.isfinite(self.readings)
 
     @property
     def usable(self) -> Bools:
-        """(n, 3) bool: readings that a network uses, those measured less the angles of `vertical` pointings."""
+        """Flags (n, 3) of the readings that a network uses: measured, and no angle of a `vertical` pointing."""
         return self.measured & ~(self.vertical[:, None] & [False, True, True])
 
     @property
     def vertical(self) -> Bools:
-        """(n,) bool: pointings along the vertical axis of the tracker, to the zenith or the nadir."""
+        """Flags (n,) of the pointings along the vertical axis of the tracker, to the zenith or the nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < STEEP)
 
     @cached_property
@@ -160,7 +174,7 @@ class Recording(Result):
 
     @cached_property
     def instrument(self) -> Ints:
-        """Index into `instruments` of each row, (n,) int."""
+        """Index (n,) into `instruments` of the instrument of each row."""
         index = {name: i for i, name in enumerate(self.instruments)}
         of_station = [index[self._instrument_name(s)] for s in self.stations]
         return np.array(of_station, dtype=np.int64)[self.station]
@@ -170,7 +184,7 @@ class Recording(Result):
         return name if name is not None and name in self.setup.instruments else ""
 
     def instrument_of(self, station: str) -> Instrument:
-        """Instrument that stood at `station`."""
+        """Instrument of a station."""
         return self.setup.instrument_of(station)
 
     @property
@@ -188,14 +202,14 @@ class Recording(Result):
 
     @property
     def gauge(self) -> Gauge:
-        """The gauge, an empty one where there is none."""
+        """Gauge of the set-up; an empty one if there is none."""
         return self.setup.gauge or Gauge()
 
     def sigma(self) -> Floats:
         """Standard deviation (n, 3) [m, rad, rad] of each reading by the declared noise.
 
-        The columns `SIGMA_COLUMNS`, where present, override it for single readings; for an azimuth it is that of the
-        reading itself.
+        The columns `SIGMA_COLUMNS`, if present, replace it for single readings; for an azimuth they hold the sigma of
+        the reading itself.
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
         range_, _, level = np.nan_to_num(self.readings).T
@@ -220,7 +234,7 @@ class Recording(Result):
 
     @property
     def circumstances(self) -> Mapping[str, Floats]:
-        """Columns (n,) of circumstances that readings may depend on; where both meters were used, 1 for `ifm`."""
+        """Covariates (n,) that readings may depend on; if both meters were used, also 1 for `ifm`."""
         columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
         circumstances = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
         modes = self.labels.get(MODE_COLUMN, ())
@@ -230,12 +244,12 @@ class Recording(Result):
 
     @property
     def is_horizontal(self) -> Bools:
-        """Distances reduced to the horizontal plane of the instrument, (n,) bool."""
+        """Flags (n,) of the distances that are reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
     def select(self, rows: Bools | Ints) -> Recording:
-        """The recording with only some rows; stations and targets without rows are dropped."""
+        """Recording with a selection of rows; stations and targets without rows are dropped."""
         keep = np.arange(len(self))[rows]
         station_ids, station = np.unique(self.station[keep], return_inverse=True)
         target_ids, target = np.unique(self.target[keep], return_inverse=True)
@@ -260,10 +274,27 @@ class Recording(Result):
             sources=tuple(self.sources[i] for i in keep) if self.sources else (),
         )
 
+    def thinned(self, every: int) -> Recording:
+        """The recording with one of `every` pointings of each sight: of a station to a target on a face."""
+        return self.select((repeats_of(self.station, self.target, self.face) - 1) % every == 0)
+
+    def require_at_most(self, pointings: int, work: str) -> None:
+        """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""
+        if len(self) <= pointings:
+            return
+        sights = np.unique(np.stack([self.station, self.target, self.face]), axis=1, return_counts=True)[1]
+        least, advice = -(-len(self) // pointings), "divide it by station or by time"
+        for every in (least, 2 * least, int(sights.max())):
+            count = int(np.sum(-(-sights // every)))
+            if count <= pointings:
+                advice = f"convert it with {option('every')} {every}, which leaves {count} of them"
+                break
+        raise NetworkError(f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}")
+
     def with_readings(self, readings: Floats) -> Recording:
-        """The same recording with other readings (n, 3)."""
+        """Copy of the recording with other readings (n, 3)."""
         return self.replace(readings=readings)
 
     def replace(self, **changes: Any) -> Recording:
-        """A copy with some fields changed."""
+        """Copy of the recording with other values of some fields."""
         return dataclasses.replace(self, **changes)

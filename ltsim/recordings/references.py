@@ -1,4 +1,4 @@
-"""Reference values of a recording: lengths at the temperature of their use, differences between marks."""
+"""Reference values of a recording: lengths at their temperature of use, and differences between marks."""
 
 from __future__ import annotations
 
@@ -15,32 +15,34 @@ from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric
 
-COEFFICIENT = "expansion of "
-"""Prefix of the name of an error that lengths of one material share."""
+EXPANSION_ERROR = "expansion of "
+"""Prefix of the name of the expansion error that lengths of one material share."""
 SCALE = "scale of all lengths"
 UNKNOWN_PPM = 1000.0
-"""Standard deviation of the common scale from which lengths determine ratios only: 40 K of aluminium."""
+"""Standard deviation [ppm] of the common scale of lengths from which they determine ratios only: 40 K of aluminium."""
 
 
 @dataclass(frozen=True)
 class ReferenceLengths:
-    """The g lengths between targets of a recording: independent certificates, and errors that several share."""
+    """Reference lengths (g) between targets of a recording, with independent errors and errors that several share."""
 
     first: Ints
     second: Ints
-    """Index of the target at either end, (g,)."""
+    """Indices of the targets at both ends, (g,) each."""
     factor: Floats
-    """Growth between the calibration and the use, (g,)."""
+    """Growth factor from calibration to use, (g,)."""
     length: Floats
-    """(g,) [m]: at the use."""
+    """Length at use, (g,) [m]."""
     certificate: Floats
-    """Standard deviation of the error of each length that it shares with no other, (g,) [m]."""
+    """Standard deviation of the independent error of each length, (g,) [m]."""
     shared: dict[str, Floats]
-    """Change of the lengths by one standard deviation of each coefficient and each thermometer, (g,) [m]."""
+    """Change of the lengths by one standard deviation of each shared error (expansion coefficient, thermometer), (g,)
+    [m] by name.
+    """
 
     @classmethod
     def of(cls, recording: Recording, file: object = "setup.toml") -> Self:
-        """The lengths whose targets the recording holds; `file` is named in errors.
+        """Lengths whose targets the recording holds; `file` is named in errors.
 
         Raises RecordError when a material is not declared, or a column has no temperature of a length.
         """
@@ -65,18 +67,18 @@ class ReferenceLengths:
         )
 
     @property
-    def tell_scale(self) -> bool:
+    def determine_scale(self) -> bool:
         """True if the lengths constrain their common scale."""
         return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviation of each length by itself, (g,) [m]."""
+        """Total standard deviation of each length, (g,) [m]."""
         return np.sqrt(self.certificate**2 + sum(change**2 for change in self.shared.values()))
 
 
 def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> tuple[float, dict[str, float]]:
-    """Growth of one length, and its change by one standard deviation of its coefficient and of its thermometer."""
+    """Growth factor of a length, and its change by one standard deviation of its coefficient and its thermometer."""
     if line.measured_in_place:
         return 1.0, {}
     gauge = recording.gauge
@@ -93,15 +95,15 @@ def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> 
     grown = Expansion.of(
         material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
-    both = {f"{COEFFICIENT}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
+    both = {f"{EXPANSION_ERROR}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
     return grown.factor, {name: change for name, change in both.items() if change}
 
 
 def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
-    """Mean of a column over the pointings at both ends of a length."""
+    """Mean of a column over the pointings to both ends of a length."""
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
-        message = f"measured_at_c names '{shown(name)}', which is no column of numbers; there are {columns}"
+        message = f"measured_at_c names '{shown(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **where)
     ends = [recording.targets.index(target) for target in (line.from_, line.to)]
     values = recording.covariates[name][np.isin(recording.target, ends)]
@@ -111,14 +113,14 @@ def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[s
     return float(np.nanmean(values))
 
 
-MUCH_BETTER = 0.1
-"""Largest ratio of the sigma of an unmeasured mark to that of a difference to it: the mark then counts as exact."""
+MAX_SIGMA_RATIO = 0.1
+"""Largest ratio of the sigma of an unmeasured mark to that of a difference to it at which the mark counts as exact."""
 
 
 def places_of(recording: Recording) -> dict[str, int]:
-    """Place of each mark among T targets and S set-ups: its target, else T + the first set-up over it.
+    """Index of each mark: its target (0 to T - 1), else T plus the first set-up over it.
 
-    T + S for an unmeasured mark with known coordinates.
+    It is T + S, after T targets and S set-ups, for an unmeasured mark with known coordinates.
     """
     count, last = len(recording.targets), len(recording.targets) + len(recording.stations)
     places = {name: last for name, target in recording.setup.targets.items() if target.known_mm is not None}
@@ -128,7 +130,7 @@ def places_of(recording: Recording) -> dict[str, int]:
 
 
 def check_differences(recording: Recording, file: object) -> None:
-    """RecordError where an end of a known difference is neither measured nor known much better."""
+    """Check that each end of a reference difference is measured or known much better; raises RecordError."""
     places, last = places_of(recording), len(recording.targets) + len(recording.stations)
     for difference in recording.setup.differences:
         for name in (difference.from_, difference.to):
@@ -141,7 +143,7 @@ def check_differences(recording: Recording, file: object) -> None:
 def _is_exact(target: Target, difference: ReferenceDifference) -> bool:
     axes = ["xyz".index(axis) for axis in difference.known_axes]
     is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
-    return is_control and bool(_sigmas(target)[axes].max() <= MUCH_BETTER * _sigmas(difference)[axes].min())
+    return is_control and bool(_sigmas(target)[axes].max() <= MAX_SIGMA_RATIO * _sigmas(difference)[axes].min())
 
 
 def _sigmas(reference: Target | ReferenceDifference) -> Floats:

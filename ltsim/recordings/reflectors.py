@@ -1,4 +1,4 @@
-"""SMRs of several radii: excess distance of each pointing's SMR centre from the seat of its nest over the reference."""
+"""SMRs of several radii: distance of each SMR centre from the seat of its nest, less the reference distance."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -13,7 +13,7 @@ from ltsim.recordings.setup import Reflector
 
 
 def smrs_of(recording: Recording) -> tuple[str, ...]:
-    """Name of the SMR of each pointing, '' where none is given: the one of its row, else of its target."""
+    """Name of the SMR of each pointing, from its row or its target; '' if none is given."""
     usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
     by_row = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
     return tuple(name or usual[target] for name, target in zip(by_row, recording.target, strict=True))
@@ -29,12 +29,11 @@ def excess_of(
 ) -> Floats:
     """Distance (n,) [m] of each pointing's SMR centre from the seat of its nest, less that of the reference.
 
-    A pointing that names no SMR ('' in `names`), such as one that is only planned, has the reference: the declared
-    `reference_radius_mm` in `stated`, else the radius of all, where they have one. Nests of `bare` targets have no
-    normal. `file` is named in errors.
+    A pointing without SMR ('' in `names`), such as a planned one, has the reference: `reference_mm`, else the common
+    radius of all SMRs. Nests of `bare` targets have no normal. `file` is named in errors.
 
-    Raises RecordError when an SMR has no table, they differ and nothing is stated, or one of another radius sat in a
-    nest without a normal.
+    Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR of another
+    radius was in a nest without normal.
     """
     used = [name for name in dict.fromkeys(names) if name]
     for name in used:
@@ -77,7 +76,7 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
 
 
 def require_equal_radii(recording: Recording, what: str) -> None:
-    """NetworkError where SMRs stand off the targets' places and `what` knows of none."""
+    """Check that all SMR centres are at their targets; raises NetworkError that names `what` otherwise."""
     if excess_radii(recording) is not None:
         raise NetworkError(
             f"{what} assumes one centre per target, but SMRs of different radii have different centres; adjust or "

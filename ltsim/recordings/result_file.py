@@ -1,4 +1,4 @@
-"""Results that have a file: one pydantic model each, the object in Python and, without its arrays, the JSON file.
+"""Results with a file: one pydantic model each, which is the Python object and (without its arrays) the JSON file.
 
 The JSON file holds digests of its companion files and of the recording, so that tables of different runs are never
 mixed.
@@ -35,19 +35,19 @@ from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.files import read_bytes, read_text, shown, write_texts
 from ltsim.recordings.recording import Recording
 
-STEP = 1e-6
-"""[m, rad] Rounding of readings in a digest, so that writing and reading a recording does not change it."""
-OFFSET = 1.0 / np.pi
-"""Tolerance of the rounding, in steps: decimal readings lie off its limits."""
+DIGEST_STEP = 1e-6
+"""Rounding step [m, rad] of readings in a digest, so that writing and reading a recording does not change it."""
+DIGEST_OFFSET = 1.0 / np.pi
+"""Offset of the rounding in steps, so that decimal readings are not on its limits."""
 
 
 def finite_or_none(value: Any) -> Any:
-    """A value itself, None for a number that is not finite."""
+    """The value itself; None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _not_zero(value: Any) -> Any:
-    """A number or tuple of numbers; ValueError where none of them is `SMALLEST` in size."""
+    """The number or numbers, checked to contain one of at least `SMALLEST` in magnitude; raises ValueError."""
     if not np.max(np.abs(value)) >= SMALLEST:
         raise ValueError("Input should not be zero")
     return value
@@ -55,20 +55,20 @@ def _not_zero(value: Any) -> Any:
 
 Finite = FiniteFloat
 OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
-"""A number, or null where there is none: JSON has neither NaN nor infinities."""
+"""A number, or null if there is none, because JSON has neither NaN nor infinities."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 SMALLEST = 1.0 / LARGEST
-"""Smallest magnitude of a number that must not be zero: the square of its reciprocal is finite."""
+"""Smallest magnitude of a number that must not be zero, so that the square of its reciprocal is finite."""
 Positive = Annotated[Finite, Field(gt=0), AfterValidator(_not_zero)]
 NonZero = Annotated[Finite, AfterValidator(_not_zero)]
 Vector = tuple[Finite, Finite, Finite]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_not_zero)]
-"""Rotation x, y, z, w of any length but 0."""
+"""Rotation x, y, z, w of any length except 0."""
 
 
 def _fail_fast(schema: Any) -> None:
-    """Let every list below a schema end at its first wrong entry, in place."""
+    """Change of a schema in place, so that validation of every list stops at its first wrong entry."""
     if isinstance(schema, list | tuple):
         for part in schema:
             _fail_fast(part)
@@ -81,46 +81,46 @@ def _fail_fast(schema: Any) -> None:
 
 
 class Entry(DescribedModel):
-    """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
+    """Table of a result file: values are immutable, and unknown keys (of a later version) are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """The usual schema, which ends at the first wrong entry of a list: each error of a million takes 500 bytes."""
+        """Core schema that stops the validation of a list at its first wrong entry: each error takes 500 bytes."""
         schema = handler(source)
         _fail_fast(schema)
         return schema
 
     def with_values(self, **values: Any) -> Self:
-        """The entry with other values of some fields, validated, so that what is not finite is null."""
+        """Copy of the entry with other values of some fields, validated; numbers that are not finite become null."""
         return type(self).model_validate({name: getattr(self, name) for name in self.model_fields_set} | values)
 
 
 class SourceEntry(Entry):
-    """The recording behind a result.
+    """Recording from which a result was computed.
 
-    `digest` is that of `digest_of`; the title is for the reader.
+    `digest` is the one of `digest_of`; the title is for display.
     """
 
     title: str = ""
-    """Free text of its set-up."""
+    """Title of the set-up."""
     pointings: int
     """Number of pointings of the recording."""
     digest: str
     """Digest of the sightings and of the readings."""
     measured: str | None = None
-    """Day, or day and time, of the measurement in ISO form, where the set-up gives it."""
+    """Day, or day and time, of the measurement in ISO format, if the set-up gives it."""
 
     @classmethod
     def of(cls, recording: Recording) -> SourceEntry:
-        """Entry of a recording in a result."""
+        """Entry for a recording."""
         when = {"measured": recording.setup.measured} if recording.setup.measured else {}
         return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
 
     @classmethod
     def listed(cls, coordinates: Coordinates) -> SourceEntry:
-        """Entry of a list of coordinates, whose pointings are unknown, in a result."""
+        """Entry for a list of coordinates, whose pointings are unknown."""
         content = (
             "\t".join((*coordinates.names, coordinates.axes)).encode()
             + coordinates.points.tobytes()
@@ -140,7 +140,7 @@ class ResultFile(Entry, Result):
     format: str
     """Format and version of this file."""
     recording: SourceEntry | None = None
-    """The recording behind the result."""
+    """Recording from which the result was computed."""
     files: dict[str, str] = Field(default_factory=dict)
     """Digest (SHA-256) of each companion file."""
 
@@ -151,17 +151,17 @@ class ResultFile(Entry, Result):
         return equal_values(self, other)
 
     def content(self) -> dict[str, Any]:
-        """Content of the file: its format and the fields that were set, as JSON values."""
+        """Content of the file as JSON values: its format and the fields that are set."""
         values = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         last = {name: value for name in ("recording", "files") if (value := values.pop(name, None))}
         return {"format": self.format} | values | last
 
     def text(self) -> str:
-        """The text of the file."""
+        """Text of the JSON file."""
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
     def owns(self, folder: Path, name: str) -> bool:
-        """True if a file in the result's folder is the one that was written with it; raises RecordError."""
+        """True if a file in the result's folder was written together with the result; raises RecordError."""
         return self.files.get(name) == _digest(read_bytes(folder / name))
 
 
@@ -170,9 +170,9 @@ def _digest(content: bytes) -> str:
 
 
 def digest_of(recording: Recording) -> str:
-    """A number of who sighted what in which face, and of the readings to a micrometre and a microradian."""
+    """Digest of stations, targets and faces, and of the readings rounded to a micrometre and a microradian."""
     readings = recording.readings
-    steps = np.floor(np.nan_to_num(readings) / STEP + OFFSET).astype("<i8")
+    steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
     whole = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
     names = [
         f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"
@@ -185,9 +185,9 @@ File = TypeVar("File", bound=ResultFile)
 
 
 def write_result(folder: Path, result: File, companions: Mapping[str, str | bytes]) -> File:
-    """Write a result and its companion files; returns the result with their digests.
+    """Writing of a result and its companion files; returns the result with their digests.
 
-    Raises RecordError when the folder cannot be written to; nothing half-written stays behind.
+    Raises RecordError if the folder cannot be written to; no partial files remain.
     """
     digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in companions.items()}
     written = result.model_copy(update={"files": digests})
@@ -196,7 +196,7 @@ def write_result(folder: Path, result: File, companions: Mapping[str, str | byte
 
 
 def read_result(path: Path, model: type[File]) -> File:
-    """A result file (or that of a folder), checked against its model; raises RecordError."""
+    """Result read from its file (or folder) and validated against its model; raises RecordError."""
     file = path / model.FILE if path.is_dir() else path
     content = read_json(file, model.FILE)
     version = content.get("format")
@@ -213,32 +213,32 @@ def read_result(path: Path, model: type[File]) -> File:
 
 
 def read_json(file: Path, kind: str) -> dict[str, Any]:
-    """The object in a JSON file; `kind` is what the file should be.
+    """Object in a JSON file; `kind` is the expected content, for errors.
 
-    Raises RecordError when it holds something else, more values than are read, or a number beyond `LARGEST`.
+    Raises RecordError for other content, for too many values, and for a number beyond `LARGEST`.
     """
 
     def checked_number(text: str, kind: Callable[[str], float]) -> float:
         value = kind(text) if len(text) <= 400 else math.inf
         if not abs(value) <= LARGEST:
-            raise RecordError(f"holds the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
+            raise RecordError(f"contains the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
         return value
 
     decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
-        raise RecordError(f"holds more than {JSON_VALUES} values, the most that is read", file=file)
+        raise RecordError(f"holds more than {JSON_VALUES} values, the limit for reading", file=file)
     try:
         content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
     if not isinstance(content, dict):
-        raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
+        raise RecordError(f"contains no JSON object; expected a {kind}", file=file)
     return content
 
 
 def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
-    """Companion file `name` of a result; None where there is none.
+    """Path of the companion file `name` of a result; None if there is none.
 
     Raises RecordError when it was not written together with the result.
     """
@@ -247,14 +247,14 @@ def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
         return None
     if result.files and not result.owns(folder, name):
         raise RecordError(
-            f"does not belong to {result.FILE} in the same folder, or was changed since; run the command again",
+            f"does not belong to {result.FILE} in the same folder, or was changed; run the command again",
             file=file,
         )
     return file
 
 
 def check_source(result: ResultFile, recording: Recording | None, folder: Path) -> None:
-    """Raise RecordError where a recording is not the one behind a result."""
+    """Check that a recording is the one from which a result was computed; raises RecordError."""
     source = result.recording
     if recording is None or source is None or source.digest == digest_of(recording):
         return

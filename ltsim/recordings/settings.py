@@ -1,4 +1,4 @@
-"""Reader and writer of setup.toml; an error is one sentence with key, value and expectation."""
+"""Reader and writer of setup.toml; errors name key, value and permitted values."""
 
 import difflib
 import json
@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from ltsim.core.errors import ModelError, RecordError, as_setup_error
 from ltsim.core.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
-from ltsim.recordings.files import SourceLocation, read_text, shown, universal
+from ltsim.recordings.files import SourceLocation, read_text, shown, unix_line_ends
 from ltsim.recordings.setup import Instrument, Setup
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -23,20 +23,20 @@ _TOML = re.compile(
     r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}|'[^'\n]*+'",
     re.DOTALL,
 )
-"""Strings and comments of TOML as wholes, and the characters that make its structure."""
+"""Pattern of the tokens of TOML that matter for its limits: strings, comments, and the characters of its structure."""
 _COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
 
 
 def read_setup(path: Path) -> Setup:
-    """The contents of a `setup.toml`; raises RecordError."""
+    """Set-up from a `setup.toml`; raises RecordError."""
     return setup_from(read_toml(path, "set-up"), path)
 
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
-    """The tables of a TOML file; `kind` is what the file should be (raises RecordError)."""
-    text = universal(read_text(path, most=TOML_BYTES))
+    """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
+    text = unix_line_ends(read_text(path, most=TOML_BYTES))
     if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
-        message = "has no line break after its last value and may be cut there; end the line if it is whole"
+        message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
         raise RecordError(message, file=path)
     check_toml(text, path)
     try:
@@ -48,10 +48,9 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 
 def check_toml(text: str, file: object) -> None:
-    """Raise RecordError for a text of more keys or deeper tables than the limits, before it is parsed.
+    """Check of the number of keys and the depth of tables in a TOML text, before it is parsed; raises RecordError.
 
-    Strings and comments are passed over as the parser passes over them; a key's parts and the brackets around it count
-    as its depth.
+    Strings and comments are skipped as in the parser; the parts of a key and the brackets around it count as its depth.
     """
     keys = values = brackets = parts = line = 0
     for token in _TOML.finditer(text):
@@ -69,15 +68,15 @@ def check_toml(text: str, file: object) -> None:
         if brackets + parts > TOML_DEPTH:
             row = text.count("\n", 0, token.start()) + 1
             raise SourceLocation(file, row).error(
-                f"tables or keys are nested deeper than {TOML_DEPTH}, the most that is read"
+                f"tables or keys are nested deeper than {TOML_DEPTH}, the limit for reading"
             )
         if keys > TOML_KEYS or values > TOML_VALUES:
             most = f"{TOML_KEYS} keys and tables or {TOML_VALUES} values"
-            raise RecordError(f"holds more than {most}, the most that is read", file=file)
+            raise RecordError(f"holds more than {most}, the limit for reading", file=file)
 
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
-    """Check a table of settings; `file` is named in the error."""
+    """Set-up from a table of settings; `file` is named in errors."""
     whole = with_instruments(data, lambda table, place: _with_sheet(table, place, file))
     setup = checked(whole, Setup, "set-up", file)
     _check_names(setup, file)
@@ -85,7 +84,7 @@ def setup_from(data: Mapping[str, Any], file: object) -> Setup:
 
 
 def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
-    """The tables of a file, each instrument's as `filled` makes it of table and place."""
+    """Tables of a file in which each instrument's table is replaced by `filled(table, place)`."""
     made, named = dict(data), data.get("instruments")
     if isinstance(named, dict):
         made["instruments"] = {name: filled(table, f"instruments.{name}") for name, table in named.items()}
@@ -107,18 +106,18 @@ def _with_sheet(table: Any, place: str, file: object) -> Any:
 
 
 def merge_defaults(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
-    """Table with the entries of `below` as defaults; nested tables are merged in the same way."""
+    """Table with the entries of `below` as defaults; nested tables are merged recursively."""
     both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
     return {**below, **table, **{key: merge_defaults(table[key], below[key]) for key in both}}
 
 
 def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
-    """The tables of a file against their model; `kind` is what the file should be, `file` is named in errors.
+    """Tables of a file validated against their model; `kind` is the expected content, `file` is named in errors.
 
     Raises
     ------
     RecordError
-        One sentence: which key, what was found, what would be right. A misspelt key is reported first.
+        The key, its value and the permitted values. A misspelt key is reported first.
     """
     expected = model.model_fields["format"].default
     if "format" not in data:
@@ -130,11 +129,11 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
         misspelt = [error for error in errors if error["type"] == "extra_forbidden"]
         raise RecordError(sentence((misspelt or errors)[0], model), file=file) from None
     except (ValueError, RecursionError):
-        raise RecordError(f"holds a value that no {kind} can hold", file=file) from None
+        raise RecordError(f"contains a value that is not possible in a {kind}", file=file) from None
 
 
 def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
-    """A file that a person wrote, checked against its model; raises SetupError."""
+    """User-written file validated against its model; raises SetupError."""
     with as_setup_error():
         return checked(read_toml(path, kind), model, kind, path)
 
@@ -144,7 +143,10 @@ def _in_a_line(problem: Exception) -> str:
 
 
 def _check_names(setup: Setup, file: object) -> None:
-    """Names that can stand in tables and paths, instruments that exist, gauge lengths between two targets."""
+    """Check of names in a set-up: valid names, existing instruments, gauge lengths between two targets.
+
+    Raises RecordError.
+    """
     for kind, names in (
         ("station", setup.stations),
         ("target", setup.targets),
@@ -178,7 +180,7 @@ def _close(name: str, candidates: Any) -> list[str]:
 
 
 def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
-    """Sentence on a validation error of a file with the tables of `root`: key, value, permitted values."""
+    """Sentence for a validation error of a file with the tables of `root`: key, value, permitted values."""
     # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
     stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
     place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]
@@ -219,7 +221,7 @@ def _schema(root: type[BaseModel]) -> Schema:
 
 
 def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Schema, list[Schema]]]:
-    """The JSON schemas of what may stand at a path of keys below a model, each with its alternatives."""
+    """JSON schemas that are valid at a path of keys below a model, each with its alternatives."""
 
     def choices(node: Schema) -> list[Schema]:
         if "$ref" in node:
@@ -233,17 +235,17 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Sche
 
 
 def _below(node: Schema, part: str) -> Schema | None:
-    """The schema below one part of a path: a named entry, any entry, or that of a list."""
+    """Schema below one part of a path: a named entry, any entry, or the entry of a list."""
     below = node.get("properties", {}).get(part) or node.get("additionalProperties")
     below = below or (node.get("items") if part.isdecimal() else None)
     return below if isinstance(below, dict) else None
 
 
 def setup_to_toml(setup: Setup) -> str:
-    """The text of a `setup.toml` that `read_setup` turns into the same set-up.
+    """Text of a `setup.toml` that `read_setup` converts into the same set-up.
 
-    Instruments and the gauge are written in full, stations and targets where they differ from the defaults; so is the
-    instrument without a name where others have one.
+    Instruments and the gauge are written in full, stations and targets if they differ from the defaults, and the
+    unnamed instrument if others have names.
     """
     tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
@@ -262,7 +264,7 @@ def setup_to_toml(setup: Setup) -> str:
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Nested tables as the text of a TOML file, arrays in one line."""
+    """Text of a TOML file for nested tables, with arrays on one line."""
     import tomlkit  # a fiftieth of a second that reading need not wait for
 
     return tomlkit.dumps(table).strip() + "\n"

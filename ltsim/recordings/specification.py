@@ -1,4 +1,4 @@
-"""Noise of instruments: by kind where a file declares none, by the maximum permissible errors (MPE) of data sheets."""
+"""Noise of instruments: by kind if a file declares none, or from maximum permissible errors (MPE) of data sheets."""
 
 import csv
 import functools
@@ -16,47 +16,49 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
 COVERAGE = 2.0
-"""Standard deviations in a maximum permissible error: makers state typical errors as half of it."""
+"""Number of standard deviations in a maximum permissible error: manufacturers give typical errors as half of it."""
 TWO_FACES = 2.0
-"""Limit of a two-face difference over that of a point across the beam (ISO 10360-10:2021, 6.3 and annex D)."""
-LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
-"""Keys of a specification without which no test has a limit."""
-RANGES = ("distance_", "range_")
-"""Prefixes of the keys of noise and prior that follow from the limit of a range."""
+"""Ratio of the limit of a two-face difference to that of a point perpendicular to the beam (ISO 10360-10:2021, 6.3 and
+annex D).
+"""
+REQUIRED_LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
+"""Keys of a specification that must be given, because tests have no limit without them."""
+RANGE_PREFIXES = ("distance_", "range_")
+"""Prefixes of the keys of noise and prior that follow from the limit of range errors."""
 
 TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
-"""Standard deviations of a total station of the first class by ISO 17123, as makers' data sheets state them."""
+"""Standard deviations of a first-class total station by ISO 17123, as in manufacturers' data sheets."""
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
-"""A total station: its own corrections are in the readings."""
+"""Default total station; its readings contain its corrections."""
 NO_NOISE = (
-    "the file states no noise: that of the default laser tracker is assumed (3 um + 0.3 ppm, 0.37 arcsec); set it in "
+    "the file declares no noise: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 LIKE_TOTAL_STATION = (
-    "the file states no noise: that of a total station is assumed (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
+    "the file declares no noise: that of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
     "in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 
 
 class Specification(TomlSection):
-    """Maximum permissible errors of the subsystems, as ISO 10360-10:2021, annex D, and data sheets state them."""
+    """Maximum permissible errors of the subsystems, as in data sheets and in ISO 10360-10:2021, annex D."""
 
     name: str = ""
-    """The instrument."""
+    """Name of the instrument."""
     source: str = ""
-    """Source of the figures."""
+    """Source of the numbers."""
     transverse_um: NonNegative
-    """Limit across the beam, the part that does not grow with the range (e_T)."""
+    """Limit perpendicular to the beam, constant part (e_T)."""
     transverse_um_per_m: NonNegative
-    """Limit across the beam, the part that grows with the range."""
+    """Limit perpendicular to the beam, part proportional to the range."""
     range_um: NonNegative
-    """Limit of a range error, the part that does not grow with the range (e_ADM or e_IFM)."""
+    """Limit of the range error, constant part (e_ADM or e_IFM)."""
     range_um_per_m: NonNegative
-    """Limit of a range error, the part that grows with the range."""
+    """Limit of the range error, part proportional to the range."""
     range_offset_um: NonNegative = 0.0
-    """Limit of the error of the zero of the ranges (e_R0)."""
+    """Limit of the range zero error (e_R0)."""
     noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
-    """Share of the variance that is noise; the rest is of the instrument's constants."""
+    """Fraction of the variance that is noise; the rest belongs to the instrument's constants."""
 
     @model_validator(mode="after")
     def _permits_errors(self) -> Self:
@@ -66,18 +68,18 @@ class Specification(TomlSection):
         return self
 
     def across(self, range_: Floats) -> Floats:
-        """Limit [m] of a point's error across the beam at ranges [m]."""
+        """Limit [m] of the error of a point perpendicular to the beam, at ranges [m]."""
         return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
 
     def along(self, range_: Floats) -> Floats:
-        """Limit [m] of a point's error along the beam at ranges [m], without the zero of the ranges."""
+        """Limit [m] of the error of a point along the beam, at ranges [m], without the range zero error."""
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
     def of_lengths(self, first: Floats, second: Floats) -> Floats:
         """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
 
-        The root sum of squares of what both ends permit in the direction of the length; the zero of the ranges is
-        one for both ends, and cancels along one line of sight.
+        It is the root sum of squares of the limits at both ends in the direction of the length. The range zero error is
+        common to both ends and cancels along one line of sight.
         """
         way = second - first
         direction = way / np.linalg.norm(way, axis=1, keepdims=True)
@@ -90,16 +92,16 @@ class Specification(TomlSection):
         return np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
 
     def of_two_faces(self, points: Floats) -> Floats:
-        """Limit (k,) [m] of the distance across the beam between both faces of points (k, 3) [m]."""
+        """Limit (k,) [m] of the distance perpendicular to the beam between the two faces of points (k, 3) [m]."""
         return TWO_FACES * self.across(to_polar(points)[:, 0])
 
     def instrument(self, construction: str = "source-in-head") -> Instrument:
-        """Standard deviations and priors that make these limits `COVERAGE` sigma.
+        """Instrument whose noise and priors correspond to these limits at `COVERAGE` sigma.
 
-        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. Of each
-        variance `noise_share` is noise of the readings and the rest belongs to the instrument's constants; two angular
-        constants act on each direction across the beam. Offsets are no noise: all of the constant transverse part is
-        theirs, and all of the constant part of the range is noise where the zero has a limit of its own.
+        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. The
+        fraction `noise_share` of each variance is noise of the readings, and the rest belongs to the instrument's
+        constants; two angular constants act on each direction perpendicular to the beam. The constant transverse part
+        belongs to offsets alone. The constant part of the range is all noise if the range zero has a separate limit.
         """
         sigma = 1.0 / COVERAGE
         noise, rest = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
@@ -124,9 +126,9 @@ class Specification(TomlSection):
 
     @property
     def assumption(self) -> str:
-        """Assumptions of `instrument`, in a sentence."""
+        """Sentence on the assumptions of `instrument`."""
         return (
-            f"limits are taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
+            f"a limit is taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
             "noise and the rest as constants of the instrument"
         )
 
@@ -141,7 +143,7 @@ def sheet_names() -> tuple[str, ...]:
 
 
 def figures(name: str) -> dict[str, Any]:
-    """Figures of a built-in data sheet, as keys of a `Specification`; those that its text does not give are missing.
+    """Numbers of a built-in data sheet, as keys of a `Specification`; keys that it does not give are missing.
 
     Raises ModelError when there is no such sheet.
     """
@@ -150,13 +152,13 @@ def figures(name: str) -> dict[str, Any]:
     return dict(_sheets()[name])
 
 
-def completed(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
-    """A specification as keys: a built-in data sheet with what a person states of the instrument above it.
+def completed_figures(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys of a specification: a built-in data sheet, with the values declared by the user in place of its own.
 
-    Raises ModelError when there is no such sheet, or both leave a limit open.
+    Raises ModelError when there is no such sheet, or a limit is in neither.
     """
     keys = figures(name)
-    missing = [key for key in LIMITS if key not in keys and key not in declared]
+    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared]
     if missing:
         raise ModelError(
             f"the data sheet {name} does not give {' and '.join(missing)}; set it in the table [specification]"
@@ -167,27 +169,29 @@ def completed(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def sheet(name: str) -> Specification:
-    """The limits of a built-in data sheet that leaves none open; raises ModelError."""
-    return Specification.model_validate(completed(name, {}))
+    """Complete limits of a built-in data sheet; raises ModelError if it does not give all of them."""
+    return Specification.model_validate(completed_figures(name, {}))
 
 
 def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
-    """Tables ``noise`` and ``prior`` that a built-in data sheet makes of an instrument whose tables are `given`.
+    """Tables ``noise`` and ``prior`` from a built-in data sheet, for an instrument whose tables are `given`.
 
-    No sheet that could be read states how far and how steeply an instrument can point: `limits` are the keys of that
-    table that `given` has to hold.
+    No available data sheet states the range of elevations of an instrument: `limits` are the keys of that table that
+    `given` must contain.
 
-    Raises ModelError when there is no such sheet, or it leaves something open that `given` does not state.
+    Raises ModelError when there is no such sheet, or a value is neither in it nor in `given`.
     """
     published = figures(name)
-    whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **published}).instrument()
+    whole = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **published}).instrument()
     exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
-    if any(key not in published for key in LIMITS):
+    if any(key not in published for key in REQUIRED_LIMITS):
         declared = {
             f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]
         }
-        ranges = [f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGES)]
+        ranges = [
+            f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_PREFIXES)
+        ]
         missing = [key for key in ranges if key not in declared]
         if missing:
             raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
@@ -200,12 +204,12 @@ def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str]
     return tables
 
 
-def overruled(instrument: Instrument) -> list[str]:
-    """Keys of noise and prior in which an instrument differs from its data sheet."""
+def deviating_keys(instrument: Instrument) -> list[str]:
+    """Keys of noise and prior in which an instrument deviates from its data sheet."""
     if instrument.sheet is None:
         return []
     specified: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
-    skipped = () if all(key in figures(instrument.sheet) for key in LIMITS) else RANGES
+    skipped = () if all(key in figures(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
     return [
         f"{table}.{key}"
         for table, values in tables_from_sheet(instrument.sheet, specified).items()

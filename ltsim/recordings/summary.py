@@ -1,4 +1,4 @@
-"""A recording at a glance: what a surveyor checks against the field book before anything is computed."""
+"""Summary of a recording, for a check against the field book before any computation."""
 
 from collections.abc import Sequence
 
@@ -10,11 +10,11 @@ from ltsim.core.units import DEGREE
 from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
 def summary(recording: Recording) -> dict[str, str]:
-    """Set-ups, rounds, faces, readings, heights, time, noise and known values of a recording, in words by topic."""
+    """Set-ups, rounds, faces, readings, heights, time, noise and reference values of a recording, as text by topic."""
     topics = {
         "set-ups": _set_ups(recording),
         "pointings": _pointings(recording),
@@ -34,7 +34,7 @@ def _set_ups(recording: Recording) -> str:
     over = f" over {len(marks)} marks" if marks else ""
     level = sum(s.levelled for s in setups.values())
     levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
-    return f"{len(setups)}{over} ({listing(list(setups), MOST_NAMED)}){levelled}"
+    return f"{len(setups)}{over} ({listing(list(setups), MAX_NAMED)}){levelled}"
 
 
 def _pointings(recording: Recording) -> str:
@@ -42,7 +42,7 @@ def _pointings(recording: Recording) -> str:
     each = _span(per_station.astype(np.float64), "d")
     rounds = int(recording.repeat.max(initial=1))
     repeated = f", up to {rounds} of a target in one face" if rounds > 1 else ""
-    return f"{len(recording)} to {len(recording.targets)} targets, {each} a set-up{repeated}"
+    return f"{len(recording)} to {len(recording.targets)} targets, {each} per set-up{repeated}"
 
 
 def _faces(recording: Recording) -> str:
@@ -80,7 +80,7 @@ def _heights(recording: Recording) -> str:
 
 def _time(recording: Recording) -> str:
     if not recording.has_clock or not np.isfinite(recording.time).any():
-        return "no clock: the order of the rows counts"
+        return "no clock: the order of the rows replaces the time"
     seconds = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     hours, rest = divmod(round(seconds), 3600)
     began = f"from {recording.setup.started} on, " if recording.setup.started else ""
@@ -93,12 +93,12 @@ def _noise(recording: Recording) -> str:
     if len(words) > 1:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
     shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
-    by_row = ["stated by row"] if shares else []
-    return "; ".join([*by_row, *words][:MOST_NAMED])
+    by_row = ["declared per row"] if shares else []
+    return "; ".join([*by_row, *words][:MAX_NAMED])
 
 
 def noise_words(noise: Noise) -> str:
-    """The noise of an instrument as a data sheet writes it."""
+    """Noise of an instrument as text, in the form of a data sheet."""
     constant = f"{1e3 * noise.distance_mm:.3g} um" if noise.distance_mm < 0.1 else f"{noise.distance_mm:.3g} mm"
     return (
         f"{constant} + {noise.distance_ppm:.3g} ppm, {noise.azimuth_arcsec:.3g} arcsec across, "
@@ -118,7 +118,7 @@ def _reference_values(recording: Recording) -> str:
 
 
 def _span(values: Floats | Sequence[float], form: str) -> str:
-    """The smallest and the largest of numbers."""
+    """Smallest and largest of some numbers, as text."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     low, high = (format(int(v) if form == "d" else v, form) for v in (finite.min(), finite.max()))

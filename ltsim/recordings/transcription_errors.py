@@ -1,4 +1,4 @@
-"""Transcription errors: readings in another unit, counted another way, or of the other face.
+"""Transcription errors: readings in another unit, in another sense, or of the other face.
 
 One table serves the readers that refuse a file, the effect that simulates such an error, and the diagnosis that
 corrects a station or a single pointing. A column that is wrong in all rows (radians as degrees, metres as millimetres,
@@ -19,34 +19,34 @@ from ltsim.recordings.files import SourceLocation
 
 @dataclass(frozen=True)
 class TranscriptionError:
-    """Transcription error: factor * reading + offset is written in its columns."""
+    """Transcription error: the columns contain factor * reading + offset."""
 
     name: str
     content: str
     expected: str
-    """Content of the wrong column, and the right content."""
+    """Text of the wrong content of a column, and of the right content."""
     changes: tuple[tuple[int, float, float], ...]
-    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad]."""
+    """Changes by the error: column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad]."""
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Wrong columns."""
+        """Columns that the error changes."""
         return tuple(column for column, _, _ in self.changes)
 
     @property
     def cause(self) -> str:
-        """Error in words, such as metres for millimetres."""
+        """Text of the error, such as metres for millimetres."""
         return f"{self.content} for {self.expected}"
 
     def written(self, readings: Floats) -> Floats:
-        """Readings (n, 3) as they are written down, from raw readings (n, 3)."""
+        """Readings (n, 3) with the error, from raw readings (n, 3)."""
         other = readings.copy()
         for column, factor, offset in self.changes:
             other[:, column] = factor * readings[:, column] + offset
         return other
 
     def corrected(self, readings: Floats) -> Floats:
-        """Raw readings (n, 3) behind the readings (n, 3) that were written down."""
+        """Raw readings (n, 3) from readings (n, 3) with the error."""
         other = readings.copy()
         for column, factor, offset in self.changes:
             other[:, column] = (readings[:, column] - offset) / factor
@@ -76,13 +76,13 @@ UNIT_ERRORS = (
     ),
     TranscriptionError("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
 )
-"""Errors of unit or sense: the reading is written in the wrong unit, and read as if it were in the right one."""
+"""Errors of unit or sense: the reading is in the wrong unit but interpreted in the right one."""
 
 FACE_ERRORS = (
-    TranscriptionError("face-azimuth", "the azimuth of the other face", "that of its own", ((1, 1.0, np.pi),)),
-    TranscriptionError("face-elevation", "the elevation of the other face", "that of its own", ((2, -1.0, np.pi),)),
+    TranscriptionError("face-azimuth", "the azimuth of the other face", "its own value", ((1, 1.0, np.pi),)),
+    TranscriptionError("face-elevation", "the elevation of the other face", "its own value", ((2, -1.0, np.pi),)),
 )
-"""Errors of one angle, which is that of the other face."""
+"""Errors of one angle, which is the one of the other face."""
 
 FULL_RADIANS = 2 * np.pi + 0.01
 SHORTEST_MM = 200.0
@@ -92,7 +92,7 @@ WRONG_GAP, RIGHT_GAP = 2e-3, 2e-4
 
 
 def clouds_of(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
-    """Mean place of each target as each station sees it, by their indices; rows (n, 3) with NaN are ignored."""
+    """Mean position of each target in each station's frame, by their indices; rows (n, 3) with NaN are ignored."""
     good = np.all(np.isfinite(points), axis=1)
     count = int(target.max(initial=0)) + 1
     keys, place = np.unique(station[good] * count + target[good], return_inverse=True)
@@ -106,11 +106,12 @@ def clouds_of(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int
 
 
 def chord_gap(points: Floats, station: Ints, target: Ints) -> float:
-    """Median relative disagreement of the lengths between common targets as two stations see them.
+    """Median relative disagreement of the lengths between common targets of two stations.
 
-    Lengths do not depend on poses: they judge units and the meaning of the vertical angle, not handedness.
+    Lengths do not depend on poses: they test units and the kind of the vertical angle, but not the sense of the
+    azimuth.
 
-    `points` (n, 3) are in each station's frame. NaN where no two stations share two targets.
+    `points` (n, 3) are in each station's frame. NaN if no two stations have two common targets.
     """
     clouds = clouds_of(points, station, target).values()
     gaps: list[float] = []
@@ -127,7 +128,7 @@ def chord_gap(points: Floats, station: Ints, target: Ints) -> float:
 
 
 def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
-    """Sums of the vertical angle on both faces, one per station and target that were seen on both."""
+    """Sums of the vertical angles on both faces, one per station and target measured on both."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
     for side in (1, 2):
@@ -142,8 +143,8 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
 def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, file: object) -> None:
     """Check that the columns are in degrees and millimetres; raises RecordError for another unit or another angle.
 
-    `measured` (n, 3) are distances [mm], azimuths and elevations [deg]. The sentence says what
-    the column looks like.
+    `measured` (n, 3) are distances [mm], azimuths and elevations [deg]. The message names the unit or angle that the
+    column appears to have.
     """
     elevation = measured[:, 2]
     longest = float(np.nanmax(measured[:, 0], initial=-np.inf))
@@ -172,7 +173,7 @@ def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, fil
 
 
 def _sum_of_faces(slip: TranscriptionError) -> float | None:
-    """Sum [deg] of the vertical angles of a target on both faces under a slip; None if that is 180 too."""
+    """Sum [deg] of the vertical angles of a target on both faces under a transcription error; None if it is 180 too."""
     for column, factor, offset in slip.changes:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE
@@ -181,10 +182,12 @@ def _sum_of_faces(slip: TranscriptionError) -> float | None:
 
 
 def error_by_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
-    """Error of all angles whose correction makes stations agree on the lengths between targets; None for none.
+    """Error of all angles whose correction makes the lengths between targets agree between stations.
 
-    `readings` (n, 3) are raw [m, rad, rad]. None also where the lengths agree already. Lengths do not show a mirrored
-    network.
+    None if there is none.
+
+    `readings` (n, 3) are raw [m, rad, rad]. It is also None if the lengths agree already. Lengths do not reveal a
+    mirrored network.
     """
     if not chord_gap(from_polar(readings), station, target) > WRONG_GAP:
         return None
@@ -215,7 +218,7 @@ def _check_faces(elevation: Floats, face: Ints, file: object) -> None:
     if np.count_nonzero(reduced) > 2 and np.all(reduced == back):
         row = int(np.flatnonzero(reduced)[0])
         message = (
-            f"face 2 holds {elevation[row]:.6g}, as all its elevations reduced to face 1; "
+            f"face 2 contains {elevation[row]:.6g}: its elevations are reduced to face 1; "
             f"expected raw encoder readings, here near {180 - elevation[row]:.6g}"
         )
         raise SourceLocation(file, row + 1, "elevation_deg").error(message)

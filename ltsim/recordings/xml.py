@@ -1,4 +1,4 @@
-"""XML from strangers: no entities, no external references, bounded in size and depth."""
+"""Parser for XML from unknown sources: no entities, no external references, bounded size and depth."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from ltsim.core.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAG
 from ltsim.recordings.files import SourceLocation, read_bytes, shown
 
 _LONG_TAG = re.compile(rb"<[^<]{4096,}+")
-"""Tag longer than 4096 characters, which may contain too many attributes."""
-LINE = "{ltsim}line"
-"""An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
+"""Pattern of a tag longer than 4096 characters, which may contain too many attributes."""
+LINE_ATTRIBUTE = "{ltsim}line"
+"""Attribute with the line number of an element; a file cannot set it, because it is overwritten."""
 
 
-class _Numbered(TreeBuilder):
-    """Elements that know the line they begin in, inside each other no deeper than the limit."""
+class _NumberedBuilder(TreeBuilder):
+    """Tree builder whose elements have the line where they begin; it raises RecordError beyond the permitted depth."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
         self.parser: Any = None
-        self._depth = _Depth(file)
+        self._depth = _DepthCheck(file)
 
     def start(self, tag: Any, attrs: Any, /) -> Element:
         self._depth.start(tag, attrs)
-        return super().start(tag, {**attrs, LINE: str(self.parser.parser.CurrentLineNumber)})
+        return super().start(tag, {**attrs, LINE_ATTRIBUTE: str(self.parser.parser.CurrentLineNumber)})
 
     def end(self, tag: Any, /) -> Element:
         self._depth.end(tag)
         return super().end(tag)
 
 
-class _Depth:
-    """Target of a parser that builds nothing: it raises RecordError where elements are too deep inside each other."""
+class _DepthCheck:
+    """Parser target that builds no tree; it raises RecordError for elements beyond the permitted depth."""
 
     def __init__(self, file: Path) -> None:
         self._file, self._depth = file, 0
@@ -50,7 +50,7 @@ class _Depth:
     def start(self, _tag: Any, _attributes: Any) -> None:
         self._depth += 1
         if self._depth > XML_DEPTH:
-            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the most that is read", file=self._file)
+            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the limit for reading", file=self._file)
 
     def end(self, _tag: Any) -> None:
         self._depth -= 1
@@ -60,39 +60,39 @@ class _Depth:
 
 
 def check_tags(content: bytes, file: Path) -> None:
-    """Raise RecordError where one tag of a text in XML may hold more attributes than the limit.
+    """Check that no tag of an XML text has more attributes than permitted; raises RecordError.
 
-    No attribute holds a `<`, so all attributes of a tag stand before the next one.
+    An attribute cannot contain `<`, so that all attributes of a tag are before the next `<`.
     """
     if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG.finditer(content)):
-        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the most that is read", file=file)
+        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the limit for reading", file=file)
 
 
 def check_part(content: bytes, file: Path) -> None:
-    """Raise RecordError for XML that a library is to read: entities, depth, attributes of a tag, or another encoding.
+    """Check of XML for a library: entities, depth, attributes of a tag, encoding; raises RecordError.
 
-    Raises ParseError where it is not well formed.
+    Raises ParseError if it is not well formed.
     """
     if b"\x00" in content:
-        raise RecordError("holds a part that is not UTF-8", file=file)
+        raise RecordError("contains a part that is not UTF-8", file=file)
     check_tags(content, file)
-    parser = DefusedXMLParser(target=_Depth(file))
+    parser = DefusedXMLParser(target=_DepthCheck(file))
     parser.feed(content)
     parser.close()
 
 
 def parse(path: Path) -> Node:
-    """The root of an XML file.
+    """Root element of an XML file.
 
     Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
     """
     content = read_bytes(path)
     if content.count(b"<") > XML_TAGS or content.count(b"=") > XML_ATTRIBUTES:
         most = f"{XML_TAGS} tags or {XML_ATTRIBUTES} attributes"
-        raise RecordError(f"holds more than {most}, the most that is read", file=path)
+        raise RecordError(f"holds more than {most}, the limit for reading", file=path)
     check_tags(content, path)
     try:
-        builder = _Numbered(path)
+        builder = _NumberedBuilder(path)
         builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
         parser.feed(content)
         root = parser.close()
@@ -104,13 +104,13 @@ def parse(path: Path) -> Node:
     except (ValueError, LookupError, RecursionError):
         raise RecordError("is not XML in a supported encoding", file=path) from None
     if not isinstance(root, Element):
-        raise RecordError("holds no XML element", file=path)
+        raise RecordError("contains no XML element", file=path)
     return Node(root, path)
 
 
 @dataclass(frozen=True)
 class Node:
-    """An element of a file: what it lacks or holds wrongly is told with its line."""
+    """Element of an XML file; errors about its content name its line."""
 
     element: Element
     file: Path
@@ -119,7 +119,7 @@ class Node:
         return (Node(inner, self.file) for inner in self.element)
 
     def inside(self, *tags: str) -> Iterator[Node]:
-        """The elements with one of these names, itself and all below it, in the order of the file."""
+        """Elements with one of these names, including this one and all below it, in the order of the file."""
         nodes = (Node(inner, self.file) for inner in self.element.iter())
         return (node for node in nodes if node.tag in tags)
 
@@ -130,8 +130,8 @@ class Node:
 
     @property
     def line(self) -> int:
-        """The line of the file that it begins in."""
-        return int(self.element.get(LINE, "0"))
+        """Line of the file where the element begins."""
+        return int(self.element.get(LINE_ATTRIBUTE, "0"))
 
     @property
     def where(self) -> SourceLocation:
@@ -144,33 +144,33 @@ class Node:
         return " ".join((self.element.text or "").split())
 
     def get(self, name: str, default: str = "") -> str:
-        """An attribute without blanks around it."""
+        """Attribute without surrounding blanks, or the default."""
         return self.element.get(name, default).strip()
 
     def __contains__(self, name: str) -> bool:
         return name in self.element.attrib
 
     def attribute(self, name: str) -> str:
-        """An attribute that has to be there; raises RecordError."""
+        """Required attribute; raises RecordError if it is missing."""
         if name not in self:
             raise self.where.error(f"<{shown(self.tag)}> lacks the attribute {name}")
         return self.get(name)
 
     def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
-        """An attribute that is a number; `default` where it is absent, or RecordError without one."""
+        """Numeric attribute; `default` if it is missing, or RecordError without a default."""
         if default is not None and name not in self:
             return default
         return self.where.number(self.attribute(name), f"<{shown(self.tag)}> {name}", limit=limit)
 
     def name(self, name: str, kind: str) -> str:
-        """An attribute that names a station or a target; raises RecordError."""
+        """Attribute that names a station or target; raises RecordError."""
         return self.where.name(self.attribute(name), kind)
 
 
 def banded(node: Node, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
     """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form; raises RecordError.
 
-    `node` is named where its numbers are not those of so many rows and diagonals.
+    The error names `node` if the number of values does not match the size and the band width.
     """
     rows = np.arange(min(int(size), len(values)))
     last = np.minimum(rows + max(int(band), 0), int(size) - 1)

@@ -1,1 +1,1 @@
-"""Pictures and pages: the only package that draws."""
+"""Reports: figures, 3D views and HTML pages; the only package that creates figures."""

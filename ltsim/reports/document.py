@@ -22,7 +22,7 @@ from ltsim.recordings.result_file import ResultFile, companion
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POLICY = (
+CONTENT_SECURITY_POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
     "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
 )
@@ -30,10 +30,10 @@ POLICY = (
 Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "plan", "none"]
 """View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
-LONG, ENDLESS = 30, 120
-"""Numbers of rows above which a table is folded, and above which it is not printed (three pages)."""
-FIRST, WIDEST = 8, 160
-"""Rows of a folded table shown on a terminal, and the largest width of a table there [characters]."""
+FOLDED_ROWS, UNPRINTED_ROWS = 30, 120
+"""Number of rows above which a table is folded, and above which it is not printed (three pages)."""
+TERMINAL_ROWS, TERMINAL_WIDTH = 8, 160
+"""Number of rows of a folded table on a terminal, and largest width of a table there [characters]."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ReportContext:
 
 
 def mood(good: bool) -> Mood:
-    """`good` or `bad`."""
+    """Mood `good` or `bad` for a flag."""
     return "good" if good else "bad"
 
 
@@ -68,7 +68,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Grid:
+class TableBlock:
     """Table of texts; the first `text_columns` columns are flush left; `meanings` explain the header."""
 
     title: str
@@ -85,12 +85,12 @@ class Grid:
     @property
     def endless(self) -> bool:
         """True if the table is too long to print."""
-        return len(self.rows) > ENDLESS
+        return len(self.rows) > UNPRINTED_ROWS
 
     @property
     def long(self) -> bool:
         """True if the table starts folded."""
-        return len(self.rows) > LONG and self.folds
+        return len(self.rows) > FOLDED_ROWS and self.folds
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Note:
 
 
 @dataclass(frozen=True)
-class Listing:
+class CodeBlock:
     """Preformatted text, such as settings; folded."""
 
     title: str
@@ -147,7 +147,7 @@ class Listing:
 
 
 @dataclass(frozen=True)
-class Notes:
+class BulletList:
     """Bullet list of sentences."""
 
     title: str
@@ -155,14 +155,14 @@ class Notes:
     kind: Literal["points"] = "points"
 
 
-Block = Notes | Grid | Picture | Scene | Note | Listing
+Block = BulletList | TableBlock | Picture | Scene | Note | CodeBlock
 
 
 @dataclass(frozen=True)
 class Section:
     """Section of a page: one result of one folder; `answer` is its first sentence.
 
-    `notice` comes before the answer and tells that the data are simulated.
+    `notice` comes before the answer and states that the data are simulated.
 
     `title` is the title of a page with this section alone; `kind` and `folder` are its heading among others. The first
     `shown` blocks are open, the others are details; the first `lead` blocks are side by side at the head of the page. A
@@ -215,20 +215,20 @@ def _as_text(block: Block) -> str:
     match block:
         case Note():
             return f"{block.title}: {block.text}" if block.title else block.text
-        case Notes():
+        case BulletList():
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
-        case Grid():
-            rows = block.rows[:FIRST] if block.long else block.rows
+        case TableBlock():
+            rows = block.rows[:TERMINAL_ROWS] if block.long else block.rows
             lines = [f"{block.title}:", _lines(replace(block, rows=rows))]
-            lines += [f"and {len(block.rows) - FIRST} more"] if block.long else []
+            lines += [f"and {len(block.rows) - TERMINAL_ROWS} more"] if block.long else []
             return "\n".join(lines + ([block.note] if block.note else []))
     return ""
 
 
-def _lines(table: Grid) -> str:
+def _lines(table: TableBlock) -> str:
     """Text of a table in columns, or in one line per row if it is too wide."""
     text = aligned(table.header, table.rows, table.text_columns)
-    if max(map(len, text.split("\n"))) <= WIDEST:
+    if max(map(len, text.split("\n"))) <= TERMINAL_WIDTH:
         return text
     heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
     rows = (
@@ -244,7 +244,7 @@ def table_of(
     note: str = "",
     marked: Callable[[Any], bool] | None = None,
     folds: bool = True,
-) -> list[Grid]:
+) -> list[TableBlock]:
     """Table of entries of a result file, with meanings and units of their model; empty list without entries.
 
     A field is `name`, `name=title`, or `name+-sigma` with the field of its standard deviation.
@@ -267,7 +267,7 @@ def table_of(
 
 def table_block(
     title: str, table: results.Table, *, note: str = "", marked: frozenset[int] = frozenset(), folds: bool = True
-) -> list[Grid]:
+) -> list[TableBlock]:
     """Table of a result as a block, text flush left, numbers flush right; empty list without rows."""
     if not table.rows:
         return []
@@ -275,7 +275,7 @@ def table_block(
     words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
     text_columns = words.index(False) if False in words else len(words)
     meanings = [table.meanings.get(head, "") for head in heads]
-    return [Grid(title, heads, table.cells(), text_columns, note, marked, meanings, folds)]
+    return [TableBlock(title, heads, table.cells(), text_columns, note, marked, meanings, folds)]
 
 
 def _joined(value: Any) -> Any:

@@ -18,35 +18,35 @@ from ltsim.recordings.native import OBSERVATIONS, SETUP
 from ltsim.recordings.result_file import digest_of, read_json
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
-from ltsim.reports.document import POLICY, Detail, Document, ReportContext, Section
+from ltsim.reports.document import CONTENT_SECURITY_POLICY, Detail, Document, ReportContext, Section
 from ltsim.reports.sections import WRITERS, content_of, section_of
 from ltsim.reports.sections.network import TRUTH, recording_section
 from ltsim.reports.words import natural, typeset
 
-MOST_ACTIONS = 3
+MAX_ACTIONS = 3
 """Largest number of next actions at the head of a page."""
 
 
 HEADLINES = {
-    ("Recording", "good"): "The recording agrees with itself.",
-    ("Recording", "bad"): "The recording does not agree with what is stated.",
+    ("Recording", "good"): "The readings agree with each other.",
+    ("Recording", "bad"): "The readings do not agree with the declared set-up.",
     ("Calibration", "good"): "The calibration can be used.",
     ("Calibration", "bad"): "The calibration should not be used yet.",
-    ("Network", "good"): "The network agrees with itself.",
-    ("Network", "bad"): "The network does not agree with what is stated.",
+    ("Network", "good"): "The network is consistent.",
+    ("Network", "bad"): "The network does not agree with the declared noise and references.",
     ("Network", "plain"): "The instrument's errors are still in the coordinates.",
-    ("Diagnosis", "good"): "Nothing was found wrong.",
-    ("Diagnosis", "bad"): "Something is wrong with this recording.",
+    ("Diagnosis", "good"): "No error was found.",
+    ("Diagnosis", "bad"): "The recording contains an error.",
     ("History", "good"): "The instrument has not changed.",
     ("History", "bad"): "The instrument has changed.",
-    ("Acceptance", "good"): "The limits are kept.",
-    ("Acceptance", "bad"): "The limits are not kept.",
-    ("Prediction", "good"): "More likely than not all tests are passed.",
-    ("Prediction", "bad"): "More likely than not a test is failed.",
+    ("Acceptance", "good"): "All errors are within the limits.",
+    ("Acceptance", "bad"): "Some errors exceed the limits.",
+    ("Prediction", "good"): "The tracker is likely to pass all tests.",
+    ("Prediction", "bad"): "The tracker is likely to fail a test.",
     ("Comparison", "good"): "No point moved.",
     ("Comparison", "bad"): "Points moved.",
 }
-"""Headline by kind of result and verdict."""
+"""Headline of a page by kind of result and verdict."""
 
 
 NAME, MANIFEST = "report.html", "manifest.json"
@@ -65,7 +65,7 @@ class PagePart:
 
 
 KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
-"""Files that identify the content of a folder, in the order of the page; the first one gives its headline."""
+"""Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
 def section(part: PagePart, detail: Detail = "none") -> Section:
@@ -116,7 +116,7 @@ def _actions(sections: list[Section]) -> list[str]:
     """Next actions of the section that heads the page, else of the first one with the same verdict."""
     first = sections[0]
     chosen = next((s for s in sections if s.actions and s.mood == first.mood), first)
-    return list(dict.fromkeys(first.actions or chosen.actions))[:MOST_ACTIONS]
+    return list(dict.fromkeys(first.actions or chosen.actions))[:MAX_ACTIONS]
 
 
 def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
@@ -201,7 +201,7 @@ def render(content: Document) -> str:
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
     assets = {"style": Markup(palette + style), "script": Markup(script)}
-    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **assets)
+    return environment.get_template("page.html.j2").render(document=content, policy=CONTENT_SECURITY_POLICY, **assets)
 
 
 def versions() -> list[tuple[str, str]]:

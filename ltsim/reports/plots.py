@@ -44,7 +44,7 @@ from ltsim.reports.workshop import from_recording, from_scenario
 from ltsim.simulation.inject import InjectionCurve
 from ltsim.simulation.scenario import Scenario
 
-MOST_PROPOSALS = 12
+MAX_PROPOSALS = 12
 
 
 @singledispatch
@@ -85,7 +85,7 @@ def _(result: Criteria) -> Figure:
 
 @figure_of.register
 def _(result: Diagnosis) -> Figure:
-    """The curve or the residuals of the first finding; of a consistent recording its residuals."""
+    """Figure of a diagnosis: the curve or residuals of the first finding; for a consistent recording its residuals."""
     before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
     for finding in result.findings[:1]:
         draw = finding_drawing(finding, before, after)
@@ -103,14 +103,14 @@ def _(result: History) -> Figure:
 
 @figure_of.register
 def _(result: Plan) -> Figure:
-    """The floor with the chosen layout, as floor.png of a plan's folder."""
+    """Figure of a plan: the floor with the chosen layout, as in floor.png of a plan's folder."""
     network = result.network
     return floor_plan(from_scenario(planned_scenario(network)), coordinates=True, ground=network.file.floor)
 
 
 @figure_of.register
 def _(result: BenchFile) -> Figure:
-    """The reflector's range error with two sigmas, and the lengths as they were read."""
+    """Figure of a bench test: the reflector's range error with two sigmas, and the measured lengths."""
     lines = {
         "as read": [(row.as_read_um,) * 3 for row in result.angles],
         "range error, ± 2 sigma": [
@@ -122,7 +122,7 @@ def _(result: BenchFile) -> Figure:
 
 @figure_of.register
 def _(result: InjectionCurve) -> Figure:
-    """The share of injections that was found, placed and named, with 95 % intervals."""
+    """Figure of a detection curve: fractions of detected, located and named injections, with 95 % intervals."""
     lines = {
         name: [(row[name] / row["injections"], row[f"{name}_low"], row[f"{name}_high"]) for row in result.rows]
         for name in ("found", "placed", "named")
@@ -133,7 +133,7 @@ def _(result: InjectionCurve) -> Figure:
 
 @figure_of.register
 def _(result: Recovery) -> Figure:
-    """The errors of each parameter over their stated sigmas, those of a calibrator without sigmas over their rms."""
+    """Figure of a recovery: errors of each parameter divided by their declared sigmas (without: by their rms)."""
     trials = result.arrays
     if not trials.converged:
         raise ModelError("no trial of this recovery converged; there is no figure")
@@ -142,13 +142,13 @@ def _(result: Recovery) -> Figure:
     shown = trials.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
     rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.names, ends, strict=True)}
-    label = f"error / {'stated sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
+    label = f"error / {'declared sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
     return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
 
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
+    shares = {p.do: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MAX_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.calibration.arrays import residuals_table
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
@@ -23,7 +22,7 @@ Names = NDArray[np.str_]
 
 OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
 USUAL = ("azimuth", "elevation", "distance", "time", "row")
-"""Covariates of every recording: the time if it has a clock, else the row."""
+"""Covariates of every recording; the time is used if there is a clock, otherwise the row."""
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 
 
@@ -35,17 +34,17 @@ class Residuals:
     """Data row of the recording, from 1, (n,)."""
     station: Names
     target: Names
-    """(n,) each."""
+    """Names of station and target, (n,) each."""
     observable: Ints
     """Index into `OBSERVABLES`, (n,)."""
     residual: Floats
-    """(n,): in um for a distance, in arcsec for an angle."""
+    """Residual, (n,), in um for a distance and in arcsec for an angle."""
     w: Floats
     """Normalised residual, standard normal where the model holds, (n,)."""
     redundancy: Floats
-    """(n,)."""
+    """Redundancy of each observation, (n,)."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """(n,): in the units of `COVARIATE_UNIT`."""
+    """Covariates by name, (n,) each, in the units of `COVARIATE_UNIT`."""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -61,7 +60,7 @@ class Residuals:
 
     @property
     def order(self) -> str:
-        """Covariate of the order of the work: the time, or the row if the recording has no clock."""
+        """Covariate of the order of measurement: the time, or the row if the recording has no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
     @property
@@ -71,7 +70,7 @@ class Residuals:
             return np.asarray(np.abs(self.residual / self.w) / np.sqrt(self.redundancy))
 
     def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
-        """Mask (n,) of the rows at the given stations and targets; an empty list means all."""
+        """Mask (n,) of the rows at the given stations and targets; an empty tuple means all."""
         inside = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):
             if names:
@@ -84,7 +83,7 @@ class Residuals:
         for column, allowed in (("observable", OBSERVABLES), ("unit", FACTOR)):
             wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:
-                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(allowed)}"
+                message = f"'{shown(table.column(column)[wrong])}' is not one of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
         scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
@@ -103,8 +102,19 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
-        residuals = cls.from_table(residuals_table(adjustment))
-        return replace(residuals, covariates=_geometry(adjustment, residuals.row - 1))
+        recording, use = adjustment.recording, adjustment.problem.use
+        rows, observable = np.nonzero(use)
+        unit = np.array([FACTOR[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
+        return cls(
+            row=rows + 1,
+            station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
+            target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
+            observable=observable,
+            residual=(adjustment.residuals / unit)[use],
+            w=adjustment.w[use],
+            redundancy=adjustment.redundancy[use],
+            covariates=_geometry(adjustment, rows),
+        )
 
     @classmethod
     def read(cls, file: Path) -> Residuals:

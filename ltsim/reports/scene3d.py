@@ -18,11 +18,11 @@ from ltsim.reports import style
 from ltsim.reports.workshop import PlacedWorkshop
 
 WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
-MOST_ARROWS, MOST_METRES = 300, 200
-MOST_HIDDEN = 4
+MAX_ARROWS, MAX_METRES = 300, 200
+MAX_HIDDEN = 4
 """Largest number of omitted names that the legend lists."""
-MOST_LABELS = 60
-FEW_BALLS, MANY_BALLS = 150, 600
+MAX_LABELS = 60
+FEW_SPHERES, MANY_SPHERES = 150, 600
 """Numbers of spheres above which they are drawn with fewer facets."""
 LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 
@@ -56,7 +56,7 @@ def times(scale: float) -> str:
 
 
 Camera = Sequence[Sequence[float]]
-"""Position and focal point of a camera [m], and its up direction."""
+"""Camera: position and focal point [m], and up direction."""
 
 
 def build(
@@ -140,7 +140,7 @@ def _surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     plotter.add_mesh(_polygon(corners), color=FLOOR, lighting=False, name="floor")
     ends = workshop.floor.min(axis=0), workshop.floor.max(axis=0)
     metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
-    if all(map(len, metres)) and sum(map(len, metres)) <= MOST_METRES:
+    if all(map(len, metres)) and sum(map(len, metres)) <= MAX_METRES:
         grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
     for i, wall in enumerate(workshop.walls):
@@ -216,10 +216,10 @@ def _rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
     return pv.Cylinder(center=0.5 * (begin + end), direction=along, radius=radius, height=height, resolution=12)
 
 
-def balls(centres: Floats, axes: Floats) -> pv.PolyData:
+def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
     """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
     count = len(centres)
-    around, up = (18, 12) if count <= FEW_BALLS else (8, 6) if count <= MANY_BALLS else (6, 4)
+    around, up = (18, 12) if count <= FEW_SPHERES else (8, 6) if count <= MANY_SPHERES else (6, 4)
     unit = pv.Sphere(radius=1.0, theta_resolution=around, phi_resolution=up)
     points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
     first = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
@@ -237,10 +237,10 @@ def _targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
         if chosen:
             axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
             plotter.add_mesh(
-                balls(workshop.points[chosen], axes),
+                ellipsoid_mesh(workshop.points[chosen], axes),
                 color=colour,
                 name=name,
-                smooth_shading=len(chosen) <= FEW_BALLS,
+                smooth_shading=len(chosen) <= FEW_SPHERES,
             )
     if workshop.gauge:
         ends = workshop.points[np.array(workshop.gauge).ravel()]
@@ -280,9 +280,9 @@ def _uncertainty(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
     if not largest > 0:
         return
     scale = round_magnification(largest, 0.035 * workshop.size)
-    ellipsoids = balls(workshop.points, axes * (scale * semi)[:, None, :])
+    ellipsoids = ellipsoid_mesh(workshop.points, axes * (scale * semi)[:, None, :])
     plotter.add_mesh(
-        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= FEW_BALLS
+        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= FEW_SPHERES
     )
     lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
 
@@ -294,7 +294,7 @@ def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
     if not float(length.max()) > 0:
         return
     scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
-    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MOST_ARROWS:][0]))
+    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MAX_ARROWS:][0]))
     arrows = [
         pv.Arrow(
             start=p,
@@ -310,7 +310,7 @@ def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
         if n >= least
     ]
     plotter.add_mesh(pv.merge(arrows), color=style.PURPLE, name="corrections")
-    most = f" (the {MOST_ARROWS} largest)" if len(length) > MOST_ARROWS else ""
+    most = f" (the {MAX_ARROWS} largest)" if len(length) > MAX_ARROWS else ""
     lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
 
@@ -320,7 +320,7 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
     axes = _facing(eye - np.array(plotter.camera.focal_point))
     size, placed, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
     groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
-    if len(workshop.targets) <= MOST_LABELS:
+    if len(workshop.targets) <= MAX_LABELS:
         groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
     for key, names, places, up, height, colour in groups:
         words = []
@@ -338,7 +338,7 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if hidden:
-        lines.append(f"omitted names: {listing(hidden, MOST_HIDDEN)}")
+        lines.append(f"omitted names: {listing(hidden, MAX_HIDDEN)}")
 
 
 def _facing(direction: Floats) -> Floats:

@@ -16,7 +16,7 @@ from trame_vtk.tools.vtksz2html import write_html
 
 from ltsim.core.notation import number
 from ltsim.reports import scene3d
-from ltsim.reports.document import POLICY
+from ltsim.reports.document import CONTENT_SECURITY_POLICY
 from ltsim.reports.words import typeset
 from ltsim.reports.workshop import PlacedWorkshop
 
@@ -36,11 +36,14 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
   font-size: 11px; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
-HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta name="generator" content="ltsim">'
+HEAD = f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">'
+HEAD += '<meta name="generator" content="ltsim">'
 
 
 FINEST = 40_000
-"""Number of steps of coordinates across a scene, to which they are rounded for compression; invisible on a screen."""
+"""Number of coordinate steps across a scene, to which coordinates are rounded for compression;
+invisible on a screen.
+"""
 
 
 def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
@@ -93,7 +96,7 @@ def _overlay(title: str, legend: scene3d.Legend) -> str:
 
 
 FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
-"""Address of the icon that vtk.js loads from the network; it is replaced by an empty one."""
+"""Pattern of the address of an icon that vtk.js loads from the network; it is replaced by an empty address."""
 
 LONG_AGO = (1980, 1, 1, 0, 0, 0)
 

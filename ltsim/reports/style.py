@@ -29,7 +29,7 @@ MARKERS = "osD^vP*X"
 """Markers, which distinguish lines in grey prints."""
 BEFORE, AFTER = GREY, BLUE
 BAND = "#8A8F9440"
-"""Transparent, for light and dark pages."""
+"""Colour of interval bands, transparent for light and dark pages."""
 DIVERGING = "RdBu_r"
 ON_PALE, ON_DEEP = "#23282c", "#fefefe"
 """Colours of text on coloured cells."""

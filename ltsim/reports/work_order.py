@@ -4,7 +4,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
 from ltsim.planning.tables import SETUPS
 from ltsim.planning.work_order import checks, settings_of
-from ltsim.reports.document import Block, Document, Note, Notes, Picture, Section, table_block
+from ltsim.reports.document import Block, BulletList, Document, Note, Picture, Section, table_block
 from ltsim.reports.page import render, versions
 from ltsim.reports.words import duration
 
@@ -25,7 +25,7 @@ def _blocks(plan: Plan) -> list[Block]:
     )
     note = (
         "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
-        "are from the centre of the head to the reflector. Two distances set the place, the third checks it."
+        "are from the centre of the head to the reflector. Two distances define the place, the third checks it."
     )
     note = " ".join([note, *(f"{s.name}: {s.lacking}" for s in stations if s.lacking)])
     blocks: list[Block] = [
@@ -35,7 +35,7 @@ def _blocks(plan: Plan) -> list[Block]:
             plan.plot,
             "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
         ),
-        Notes("Checks", checks(network)),
+        BulletList("Checks", checks(network)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
@@ -59,4 +59,4 @@ def _before(plan: Plan) -> list[Block]:
     if not worth:
         return []
     lines = [f"{c.deed}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]
-    return [Notes("Possible improvements: one of these (z from the floor), then plan again", lines)]
+    return [BulletList("Possible improvements: one of these (z from the floor), then plan again", lines)]

@@ -23,9 +23,9 @@ from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_
 
 SECOND_OPENING = 110.0 * DEGREE
 """Alternative opening of the shadow cone in the paper (section 2.3.2)."""
-HEAD = 3.0
-"""Largest height [m] of a tracker above the floor; a plan whose zero is farther below has no floor."""
-FACING, FLUSH, MARGIN = 0.25, 0.2, 0.4
+MAX_TRACKER_HEIGHT = 3.0
+"""Largest height [m] of a tracker above the floor; a plan with its zero farther below the trackers has no floor."""
+MIN_NORMAL_COMPONENT, MAX_DEPTH_DIFFERENCE, FLOOR_MARGIN = 0.25, 0.2, 0.4
 """Smallest component of a nest's normal across its wall; largest difference in depth [m] of nests of one wall; margin
 [m] of the floor around stations and targets."""
 
@@ -47,26 +47,26 @@ class PlacedWorkshop(ValueEquality):
     title: str
     stations: tuple[str, ...]
     position: Floats
-    """(S, 3)."""
+    """Positions of the stations, (S, 3) [m]."""
     rotation: Floats
     """Instrument frame to this frame, (S, 3, 3)."""
     targets: tuple[str, ...]
     points: Floats
     nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Normals of the fixed nests; NaN for a reflector that is turned toward each station, (T, 3)."""
+    """Normals of the fixed nests, (T, 3); NaN for a re-aimed reflector."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """Outline, (k, 2)."""
+    """Outline of the floor, (k, 2) [m]."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
-    """(W, 4, 3)."""
+    """Corners of the walls, (W, 4, 3) [m]."""
     gauge: tuple[tuple[int, int], ...] = ()
-    """Pairs of targets whose distance is known."""
+    """Pairs of targets with a reference length."""
     elevation_min: float = -55.0 * DEGREE
     sights: Sights | None = None
     covariance: Floats | None = None
-    """(T, 3, 3)."""
+    """Covariance of each target, (T, 3, 3) [m^2]; None if unknown."""
     correction: Floats | None = None
-    """Change of the targets by a calibration or a finding, (T, 3)."""
+    """Change of the targets by a calibration or a finding, (T, 3) [m]; None if unknown."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners of the triangles of obstacles, (k, 3, 3)."""
     hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -155,7 +155,7 @@ def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     points, position = plan.place(network.points), plan.place(network.position)
     normal = _nest_normals(setup, network.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())
-    height = 0.0 if planned and -0.05 < lowest < HEAD else float(points[:, 2].min())
+    height = 0.0 if planned and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
     planes = _wall_planes(points, normal) if planned else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
     at = {name: i for i, name in enumerate(network.targets)}
@@ -185,7 +185,10 @@ def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
 
 
 def _reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
-    """True (T,) for reflectors that are turned toward the station before each pointing: their incidence is zero."""
+    """Flags (T,) of the reflectors that are turned towards the station before each pointing.
+
+    Their incidence is zero.
+    """
     return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 
@@ -199,15 +202,15 @@ def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float
         for side in (1.0, -1.0):
             depth = side * points[:, axis]
             last = float(depth.min())
-            looking = np.nan_to_num(side * normal[:, axis]) > FACING
-            if np.sum(looking & (depth < last + FLUSH)) >= 4:
+            looking = np.nan_to_num(side * normal[:, axis]) > MIN_NORMAL_COMPONENT
+            if np.sum(looking & (depth < last + MAX_DEPTH_DIFFERENCE)) >= 4:
                 planes.append((axis, side, side * (last - 0.05)))
     return planes
 
 
 def _floor(places: Floats, planes: list[tuple[int, float, float]]) -> Floats:
     """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin, up to the walls."""
-    (x0, y0), (x1, y1) = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
+    (x0, y0), (x1, y1) = places.min(axis=0) - FLOOR_MARGIN, places.max(axis=0) + FLOOR_MARGIN
     sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     sides |= {(axis, side): place for axis, side, place in planes}
     x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]

@@ -1,7 +1,8 @@
-"""CAD files as triangles in metres with z up, each format by its own convention.
+"""Reader of CAD files: triangles in metres with z up, by the convention of each format.
 
-glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY state nothing and are taken in millimetres
-with z up. What a file was taken for is told, and a body of an unlikely size or place is a question, not a body.
+glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY state nothing and are read in millimetres
+with z up. The assumed unit and vertical axis are reported; a body of an implausible size or position is an error that
+asks the user to state them.
 """
 
 import re
@@ -21,101 +22,115 @@ from ltsim.scene.cad_process import EXACT, FACETS, triangles_in
 GLTF = (".glb", ".gltf")
 SUFFIXES = (*FACETS, *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
-STEP = 1.0
-"""[mm] Spacing of single-precision numbers at the place of a body above which a file is refused:
-halls are planned to the millimetre, and sights pass bodies at a few centimetres."""
-SINGLE = (".stl", *GLTF)
+MAX_SPACING_MM = 1.0
+"""Spacing [mm] of single-precision numbers at the position of a body above which a file is refused: halls are planned
+to the millimetre, and lines of sight pass bodies at a few centimetres.
+"""
+SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF)
 """Suffixes of files whose coordinates may be in single precision."""
-SMALL = FACTOR["mm"] / FACTOR["in"]
-"""Share of the room's length: a body that is shorter may be one whose numbers are inches."""
-BEYOND = 0.05
-"""[m] Distance by which a body may reach beyond the room or below its floor."""
-PER_METRE = 1e5
-"""Corners lie on a grid of 10 um: single precision, as STL and glTF have it, keeps no more over 40 m."""
-BLOCK = 1 << 16
-"""Triangles that are put on the grid together: what lies between takes memory for so many alone."""
-UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns y up to z up: x stays, y becomes z, z becomes -y."""
+MIN_RELATIVE_LENGTH = FACTOR["mm"] / FACTOR["in"]
+"""Length of a body as a fraction of the room's length below which its numbers may be inches."""
+MAX_OVERHANG = 0.05
+"""Distance [m] by which a body may extend beyond the room or below its floor."""
+GRID_POINTS_PER_METRE = 1e5
+"""Grid points per metre for the corners of triangles (10 um); single precision, as in STL and glTF, resolves no more
+over 40 m.
+"""
+TRIANGLES_PER_BATCH = 1 << 16
+"""Number of triangles that are rounded to the grid together, which bounds the memory of intermediate results."""
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation matrix from y up to z up: x stays, y becomes z, z becomes -y."""
 
 
 @dataclass(frozen=True)
-class Cad:
-    """A CAD file as it was read."""
+class CadFile:
+    """Contents of a CAD file, with the unit and vertical axis used to read it."""
 
     file: Path
     triangles: Floats
-    """(m, 3, 3) [m], z up."""
+    """Triangles of the body, (m, 3, 3) [m], z up."""
     unit: str
-    """`mm`, `m` or `in`; empty where the file states its own."""
+    """Unit used for reading, `mm`, `m` or `in`; empty for a format that states its unit."""
     up: str
-    """`y` or `z`."""
+    """Vertical axis of the file, `y` or `z`."""
     sure: bool
-    """The unit is stated, by the file or by who named it."""
+    """True if the file or the user states the unit."""
 
     @property
     def read_as(self) -> str:
         """Description of the unit and the vertical axis that the file was read with."""
         kind = self.file.suffix[1:].upper()
-        unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} states"
+        unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.up} up"
 
     @property
     def turned(self) -> Floats:
-        """The triangles (m, 3, 3) as they would be if the other one of y and z pointed up."""
-        return self.triangles @ (UPRIGHT if self.up == "y" else UPRIGHT.T)
+        """Triangles (m, 3, 3) for the other vertical axis (y and z exchanged)."""
+        return self.triangles @ (Y_UP_TO_Z_UP if self.up == "y" else Y_UP_TO_Z_UP.T)
 
 
-def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:
-    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) where its convention does not hold; SetupError."""
+def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> CadFile:
+    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) replace the convention of its format.
+
+    Raises SetupError.
+    """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
     if suffix in EXACT and unit is not None:
-        raise SetupError(f"{path}: {suffix[1:].upper()} states its own unit; leave out unit")
+        raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
     turned = up or ("y" if suffix in GLTF else "z")
     file_unit = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
     try:
         status = path.stat()
         if status.st_size > CAD_BYTES:
-            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the most that is read")
+            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the limit for reading")
         triangles = _triangles(path, status.st_mtime_ns, FACTOR[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    return Cad(path, triangles, file_unit, turned, suffix in EXACT or unit is not None)
+    return CadFile(path, triangles, file_unit, turned, suffix in EXACT or unit is not None)
 
 
 @lru_cache(maxsize=8)
 def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
-    """Triangles (m, 3, 3) [m], z up, of a file whose numbers are `factor` metres, whatever its format and order."""
-    triangles = _as_written(path, factor)
-    parts = range(0, len(triangles), BLOCK)
-    corners = np.concatenate([_on_grid(factor * triangles[start : start + BLOCK], up) for start in parts])
+    """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `factor` [m]."""
+    triangles = _in_file_units(path, factor)
+    parts = range(0, len(triangles), TRIANGLES_PER_BATCH)
+    corners = np.concatenate([_on_grid(factor * triangles[start : start + TRIANGLES_PER_BATCH], up) for start in parts])
     del triangles  # each array of a large file takes a tenth of the memory
     if not len(corners):
         raise SetupError(
-            f"{path}: has no triangle larger than {1e6 / PER_METRE:g} um if a unit of it is {factor:g} m; state its "
-            "unit, or export it anew"
+            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is {factor:g} m; "
+            "set its unit, or export it again"
         )
-    settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / PER_METRE
+    settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
     settled.flags.writeable = False
     return settled
 
 
 def _on_grid(triangles: Floats, up: str) -> Ints:
-    """Corners (k, 9) on the grid of the triangles (m, 3, 3) [m] that are not degenerate, each from its first corner."""
-    corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
+    """Corners (k, 9) on the grid of the non-degenerate triangles among (m, 3, 3) [m].
+
+    Each triangle starts with its first corner.
+    """
+    corners = np.round(GRID_POINTS_PER_METRE * (triangles @ Y_UP_TO_Z_UP.T if up == "y" else triangles)).astype(
+        np.int64
+    )
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
     whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
     return corners[whole].reshape(-1, 9)
 
 
-def _as_written(path: Path, factor: float) -> Floats:
-    """Triangles (m, 3, 3) in the numbers (of `factor` metres) and axes of a file, of an exact one [m]."""
+def _in_file_units(path: Path, factor: float) -> Floats:
+    """Triangles (m, 3, 3) in the unit (`factor` metres) and axes of the file.
+
+    Those of a CAD model with exact surfaces in metres.
+    """
     suffix = path.suffix.lower()
     if suffix in EXACT and not installed("cascadio"):
         raise SetupError(
-            f'{path}: holds exact surfaces, which needs the library cascadio: pip install "ltsim[step]", or export it '
+            f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
         )
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', path.read_bytes())):
@@ -129,12 +144,12 @@ def _as_written(path: Path, factor: float) -> Floats:
 
 
 def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
-    """Raise SetupError where single precision rounds coordinates (in units of `factor` metres) more than `STEP`."""
+    """Check that rounding of coordinates (unit `factor` metres) is below `MAX_SPACING_MM`; raises SetupError."""
     single = triangles.astype(np.float32)
-    if path.suffix.lower() not in SINGLE or not np.array_equal(single, triangles):
+    if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single, triangles):
         return
     step = float(np.spacing(np.abs(single).max())) * factor / FACTOR["mm"]
-    if step > STEP:
+    if step > MAX_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
             f"steps of {step:.4g} mm; export it with its origin near the body, or as OBJ"
@@ -142,27 +157,27 @@ def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
 
 
 def extent(triangles: Floats) -> str:
-    """Size and place of triangles (m, 3, 3) [m] in words."""
+    """Size and position of triangles (m, 3, 3) [m] as text."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     size = " x ".join(f"{v:.3g}" for v in high - low)
     return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
 
 
-def size_question(cad: Cad, room: Floats) -> str:
-    """Question about the size of a body in a room (3,) [m]; empty where there is none."""
-    length, least, most = np.ptp(cad.triangles, axis=(0, 1)), SMALL * room.max(), 1.5 * room.max()
+def size_question(cad: CadFile, room: Floats) -> str:
+    """Question to the user about the size of a body in a room (3,) [m]; empty for a plausible size."""
+    length, least, most = np.ptp(cad.triangles, axis=(0, 1)), MIN_RELATIVE_LENGTH * room.max(), 1.5 * room.max()
     if cad.sure or least <= length.max() <= most:
         return ""
     others = {unit: length.max() * FACTOR[unit] / FACTOR[cad.unit] for unit in WORDS if unit != cad.unit}
     fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not say; "
-        f'state unit = {other}, or unit = "{cad.unit}" if it is so'
+        f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not declare; "
+        f'set unit = {other}, or unit = "{cad.unit}" if this is correct'
     )
 
 
 def inside(triangles: Floats, room: Floats) -> bool:
-    """True if triangles (m, 3, 3) [m] stay in a room (3,) [m] whose corner is the origin."""
+    """True if triangles (m, 3, 3) [m] lie within a room (3,) [m] that has a corner at the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    return bool(np.all(low >= -BEYOND) and np.all(high <= room + BEYOND))
+    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= room + MAX_OVERHANG))

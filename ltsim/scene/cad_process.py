@@ -1,8 +1,7 @@
-"""Triangles of a CAD file by the libraries that read it, which trust what a file says of itself.
+"""Reading of CAD files in a separate process with bounded memory and time.
 
-A few bytes of such a file may stand for any number of triangles (instances of a body, polygons of many corners, exact
-surfaces), and a damaged one may end the process. What can grow is therefore read in a process of its own with bounded
-memory and time; only its triangles come back.
+A few bytes of such a file may expand to any number of triangles (instances of a body, polygons with many corners, exact
+surfaces), and a damaged file may crash the libraries. Only the triangles are returned from the process.
 """
 
 import os
@@ -24,34 +23,37 @@ from ltsim.recordings.files import shown
 
 EXACT = (".step", ".stp", ".iges", ".igs")
 FACETS = (".stl", ".obj", ".ply")
-DEVIATION = 1.0
-"""[mm] Largest distance of a triangle from the exact surface: sufficient for lines of sight."""
+MAX_DEVIATION_MM = 1.0
+"""Largest distance [mm] of a triangle from the exact surface, sufficient for lines of sight."""
 _START = "from ltsim.scene.cad_process import main; main()"
 _REFUSED = 3
-"""Exit status of a process whose library raised an error, named on standard error."""
+"""Exit status of a process whose library raised an error; the error is on standard error."""
 
 
 def triangles_in(path: Path) -> Floats:
-    """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]; raises SetupError."""
+    """Triangles (m, 3, 3) in the unit and axes of a file; those of a model with exact surfaces in metres.
+
+    Raises SetupError.
+    """
     content = path.read_bytes()
     suffix = path.suffix.lower()
     if suffix == ".stl":
         _check_count(path, facets_of_stl(content))
     if suffix == ".stl" or (suffix in FACETS and len(content) <= SMALL_CAD_BYTES):
         try:
-            triangles = loaded(content, suffix)
+            triangles = triangles_of(content, suffix)
         except Exception as problem:  # readers of all these formats raise whatever they meet
             raise _not_whole(path, type(problem).__name__) from None
     else:
-        triangles = _elsewhere(path, len(content))
+        triangles = _read_in_process(path, len(content))
     _check_count(path, len(triangles))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
-        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+        raise SetupError(f"{path}: contains no surface of triangles with finite coordinates")
     return triangles
 
 
 def facets_of_stl(content: bytes) -> int:
-    """Number of facets of an STL file, at most: by its length where it is binary, else by its words."""
+    """Upper bound of the number of facets of an STL file: from its length (binary) or its keywords (text)."""
     count = (len(content) - 84) // 50
     if len(content) >= 84 and int.from_bytes(content[80:84], "little") == count:
         return count
@@ -69,8 +71,8 @@ def _not_whole(path: Path, reason: str) -> SetupError:
     return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({shown(reason)})")
 
 
-def _elsewhere(path: Path, size: int) -> Floats:
-    """Triangles read in a process of its own; raises SetupError where it refuses, crashes or needs too much."""
+def _read_in_process(path: Path, size: int) -> Floats:
+    """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
     share = max(1.0, size / FILE_BYTES)
     limits = [str(int(share * CAD_MEMORY)), str(int(share * CAD_SECONDS))]
     words = [sys.executable, "-P", "-c", _START, str(path.resolve()), *limits]
@@ -88,12 +90,15 @@ def _elsewhere(path: Path, size: int) -> Floats:
 
 
 def main() -> None:
-    """Write the triangles of the file in the first argument to standard output, within the memory and time given."""
+    """Entry point of the process: it writes the triangles of a file to standard output.
+
+    The arguments are the file, the memory [bytes] and the processor time [s].
+    """
     path, memory, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     limit_to(memory, seconds)
     try:
-        with path.open("rb") as stream, silenced():
-            triangles = loaded(stream.read(), path.suffix.lower())
+        with path.open("rb") as stream, without_library_output():
+            triangles = triangles_of(stream.read(), path.suffix.lower())
         if len(triangles) > TRIANGLES:
             raise MemoryError
     except Exception as problem:  # whatever the libraries raise
@@ -103,7 +108,7 @@ def main() -> None:
 
 
 def limit_to(memory: int, seconds: int) -> None:
-    """Bound what this process may take beyond its libraries [bytes] and its processor time [s], where systems can."""
+    """Limits of this process on memory beyond its libraries [bytes] and on processor time [s], where supported."""
     with suppress(ImportError, ValueError, OSError):
         import resource
 
@@ -116,15 +121,15 @@ def limit_to(memory: int, seconds: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (reserved + memory, reserved + memory))
 
 
-def loaded(content: bytes, suffix: str) -> Floats:
-    """Triangles (m, 3, 3) of a file's content by its suffix; raises whatever the libraries raise."""
+def triangles_of(content: bytes, suffix: str) -> Floats:
+    """Triangles (m, 3, 3) of a file's content, by its suffix; errors of the libraries are passed on."""
     import trimesh  # a third of a second that few need
 
     if suffix in EXACT:
         import cascadio
 
         kind = cascadio.FileType.STEP if suffix in EXACT[:2] else cascadio.FileType.IGES
-        content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=DEVIATION), ".glb"
+        content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=MAX_DEVIATION_MM), ".glb"
     mesh: Any = trimesh.load(
         BytesIO(content),
         file_type=suffix[1:],
@@ -136,8 +141,8 @@ def loaded(content: bytes, suffix: str) -> Floats:
 
 
 @contextmanager
-def silenced() -> Iterator[None]:
-    """Standard output and error of libraries below Python go nowhere."""
+def without_library_output() -> Iterator[None]:
+    """Context in which the output of libraries below Python is discarded."""
     before = [os.dup(1), os.dup(2)]
     with tempfile.TemporaryFile() as nowhere:
         try:

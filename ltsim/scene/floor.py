@@ -20,68 +20,69 @@ Corner = tuple[Finite, Finite]
 Corners = Annotated[tuple[Corner, ...], Field(min_length=3, max_length=500)]
 Heights = tuple[Positive, Positive]
 HEAD_ROOM = 0.3
-"""[m] Free height above the centre of an instrument's head."""
-PLACES = 250
-"""Number of places that cover the floor where no step is given; stations are refined off the grid afterwards."""
-EDGE = 1e-9
-"""[m] Distance within which a place counts as on an edge."""
+"""Free height [m] above the centre of an instrument's head."""
+DEFAULT_PLACES = 250
+"""Number of grid positions that cover the floor if no step is given; stations are refined off the grid afterwards."""
+EDGE_TOLERANCE = 1e-9
+"""Distance [m] within which a position counts as on an edge."""
 
 
 class FloorArea(TomlSection):
     """Floor area where tripods may stand."""
 
     name: str = ""
-    """Name of the area in pictures and messages."""
+    """Name of the area in figures and messages."""
     corners_mm: Corners
-    """x and y of its corners, in order round it."""
+    """Coordinates x and y of the corners of the area, in order around it."""
     holes_mm: tuple[Corners, ...] = ()
-    """Outlines that are cut out of it, such as a pit."""
+    """Outlines of openings in the area, such as a pit."""
     height_mm: Heights | None = None
-    """Lowest and highest centre of the head here; as the whole floor's where it is not given."""
+    """Lowest and highest centre of the instrument's head in this area; default those of the whole floor."""
     ceiling_mm: Positive | None = None
-    """Height of what hangs above this area, such as a gallery: heads stay 300 mm below it. To hide sights
-    too, give it as an obstacle."""
+    """Height of an overhead structure above this area, such as a gallery: heads stay 300 mm below it. An obstacle is
+    needed if it also hides targets.
+    """
 
 
 class FreePlace(TomlSection):
-    """A place that stays free of tripods, such as the way of a crane."""
+    """Area to be kept free of tripods, such as the path of a crane."""
 
     name: str = ""
-    """Name of the place in pictures."""
+    """Name of the area in figures."""
     corners_mm: Corners
-    """x and y of its corners, in order round it."""
+    """Coordinates x and y of the corners of the area, in order around it."""
     clear_mm: NonNegative = 0.0
-    """Distance that stays free around it."""
+    """Distance to be kept free around the area."""
 
 
 class Door(TomlSection):
-    """A door, before which no tripod stands."""
+    """Door with an area in front of it where no tripod may stand."""
 
     name: str = ""
-    """Name of the door in pictures."""
+    """Name of the door in figures."""
     from_mm: Corner
-    """x and y of one side of the opening."""
+    """Coordinates x and y of one side of the opening."""
     to_mm: Corner
-    """x and y of the other side."""
+    """Coordinates x and y of the other side."""
     clear_mm: NonNegative = 1500.0
-    """Distance that stays free before it."""
+    """Distance to be kept free in front of the door."""
 
 
 class Floor(TomlSection):
-    """Floor on which tripods may stand; by default all of it but a margin along the walls."""
+    """Floor on which tripods may stand; by default the whole room except a margin along the walls."""
 
     corners_mm: Corners | None = None
-    """Corners of the floor, x and y, in order round it; the room's without it."""
+    """Corners of the floor, x and y, in order around it; default those of the room."""
     margin_mm: NonNegative = 600.0
-    """Distance to keep from the walls, where neither corners nor areas are given."""
+    """Distance to be kept from the walls if neither corners nor areas are given."""
     height_mm: Heights | None = None
-    """Lowest and highest centre of the head; those of the scenario's stations where it is not given."""
+    """Lowest and highest centre of the instrument's head; default those of the scenario's stations."""
     areas: tuple[FloorArea, ...] = ()
-    """Tables `[[floor.areas]]`, in place of `corners_mm`: a tripod stands in one of them."""
+    """Tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of them."""
     keep_outs: tuple[FreePlace, ...] = ()
-    """Tables `[[floor.keep_outs]]`."""
+    """Tables `[[floor.keep_outs]]`: areas to be kept free of tripods."""
     doors: tuple[Door, ...] = ()
-    """Tables `[[floor.doors]]`."""
+    """Tables `[[floor.doors]]`: doors with a free area in front."""
 
     @model_validator(mode="after")
     def _fits(self) -> Floor:
@@ -93,13 +94,14 @@ class Floor(TomlSection):
         return self
 
 
-def ground_of(
+def areas_and_keep_outs(
     floor: Floor, size_mm: tuple[float, float, float], heights: tuple[float, float]
 ) -> tuple[tuple[Area, ...], tuple[KeepOut, ...]]:
-    """Areas where tripods may stand and what is kept free in them [m].
+    """Areas where tripods may stand, and the keep-out areas in them [m].
 
-    `size_mm` is that of the room; `heights` [m] are those of heads, where neither the floor nor the area states them.
-    Raises SetupError for an outline that crosses itself or leaves the room, or a ceiling too low for any head.
+    `size_mm` is the size of the room; `heights` [m] are the heights of heads where neither floor nor area states them.
+    Raises SetupError for an outline that crosses itself or leaves the room, and for a ceiling that is too low for any
+    head.
     """
     mm = MILLIMETRE
     usual = heights if floor.height_mm is None else (floor.height_mm[0] * mm, floor.height_mm[1] * mm)
@@ -112,7 +114,7 @@ def ground_of(
             high = min(high, part.ceiling_mm * mm - HEAD_ROOM)
         if low > high:
             raise SetupError(
-                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads stand at {low / mm:g} mm and more; "
+                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads are at {low / mm:g} mm and more; "
                 "give the area a lower height_mm"
             )
         outline = _outline(key, part.corners_mm, size_mm)
@@ -127,7 +129,7 @@ def ground_of(
 
 
 def _room(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[Corner, ...]:
-    """The room's corners, less the margin."""
+    """Corners of the room, moved inwards by the margin."""
     (wide, deep, _), margin = size_mm, floor.margin_mm
     if 2 * margin >= min(wide, deep):
         raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {deep:g} mm")
@@ -135,11 +137,14 @@ def _room(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[Corner, ..
 
 
 def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, float, float] | None = None) -> np.ndarray:
-    """Corners (k, 2) [m] of an outline that is simple and, where a room is given, within it."""
+    """Corners (k, 2) [m] of an outline.
+
+    Raises SetupError if it crosses itself or leaves the room (if a size is given).
+    """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
-    problem = fault(outline)
+    problem = outline_error(outline)
     if problem:
-        raise SetupError(f"{key} is no outline: {problem}")
+        raise SetupError(f"{key} is not an outline: {problem}")
     if size_mm is not None:
         room = np.array(size_mm[:2]) * MILLIMETRE
         beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > room + 1e-3), axis=1))
@@ -153,22 +158,26 @@ def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, flo
 
 @dataclass(frozen=True)
 class Area:
-    """Area of the floor."""
+    """Area of the floor where tripods may stand."""
 
     outline: Floats
-    """Corners, in order around it, (k, 2) [m]."""
+    """Corners in order around the area, (k, 2) [m]."""
     heights: tuple[float, float]
-    """[m]: lowest and highest centre of the instrument here."""
+    """Lowest and highest centre of the instrument here [m]."""
     holes: tuple[Floats, ...] = ()
-    """(k, 2) [m]: what is cut out of it."""
+    """Outlines of the openings, each (k, 2) [m]."""
 
     def holds(self, position: Floats) -> Bools:
-        """Positions (N, 3) [m] of an instrument that may stand here, (N,)."""
+        """Flags (N,) of the instrument positions (N, 3) [m] that lie in this area and its height limits."""
         low, high = self.heights
-        return np.asarray(self.covers(position[:, :2]) & (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE))
+        return np.asarray(
+            self.covers(position[:, :2])
+            & (position[:, 2] > low - EDGE_TOLERANCE)
+            & (position[:, 2] < high + EDGE_TOLERANCE)
+        )
 
     def covers(self, places: Floats) -> Bools:
-        """Places (N, 2) [m] in the area, its holes left out, (N,)."""
+        """Flags (N,) of the places (N, 2) [m] that lie in the area and outside its openings."""
         good = inside(self.outline, places)
         for hole in self.holes:
             good &= ~inside(hole, places)
@@ -177,56 +186,62 @@ class Area:
 
 @dataclass(frozen=True)
 class KeepOut:
-    """A place that stays free: within `clear` [m] of an outline (k, 2), or of the way between two ends (2, 2)."""
+    """Keep-out area: places within `clear` [m] of an outline (k, 2), or of the segment between two points (2, 2)."""
 
     outline: Floats
     clear: float = 0.0
 
     def holds(self, places: Floats) -> Bools:
-        """Mask (N,) of the places (N, 2) that lie in this area, which stays free."""
-        near = distance(self.outline, places) < self.clear + EDGE
+        """Flags (N,) of the places (N, 2) that lie in this keep-out area."""
+        near = distance(self.outline, places) < self.clear + EDGE_TOLERANCE
         return near | inside(self.outline, places) if len(self.outline) > 2 else near
 
 
 def distance(outline: Floats, places: Floats) -> Floats:
-    """(N,) [m]: from places (N, 2) to the nearest edge of an outline (k, 2), or to the way between two ends (2, 2)."""
+    """Distance (N,) [m] from places (N, 2) to an outline (k, 2), or to the segment between two points (2, 2)."""
     edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
     return np.asarray(shapely.distance(edges, shapely.points(places)))
 
 
 def inside(outline: Floats, places: Floats) -> Bools:
-    """Places (N, 2) inside an outline (k, 2) or within a nanometre of its edge, (N,)."""
-    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE)
+    """Flags (N,) of the places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
+    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE_TOLERANCE)
 
 
-def fault(outline: Floats) -> str:
-    """Reason why corners (k, 2) are no outline, in words; empty for an outline that is simple and has an area."""
+def outline_error(outline: Floats) -> str:
+    """Reason why corners (k, 2) do not form an outline, as text.
+
+    It is empty for an outline that does not cross itself and has an area.
+    """
     count, then = len(outline), np.roll(outline, -1, axis=0)
-    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE)
+    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
     if len(same):
-        return f"its corner {same[0] + 1} stands where the one before it stands"
+        return f"its corner {same[0] + 1} coincides with the corner before it"
     sides = shapely.linestrings(np.stack([outline, then], axis=1))
-    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE), 2))
+    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE_TOLERANCE), 2))
     for i, j in zip(first.tolist(), second.tolist(), strict=True):
         if (i, j) != (0, count - 1):  # which have a corner in common
             return (
                 f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
             )
-    return "" if shapely.area(shapely.polygons(outline)) > EDGE else "its corners lie in a line"
+    return "" if shapely.area(shapely.polygons(outline)) > EDGE_TOLERANCE else "its corners lie on one line"
 
 
 def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
-    """[m]: of a grid of places; where none is stated `PLACES` of them cover the areas, half a metre apart or more."""
+    """Step [m] of a grid of places.
+
+    By default `DEFAULT_PLACES` places cover the areas, at least half a metre from each other.
+    """
     if grid_mm is not None:
         return grid_mm * MILLIMETRE
     size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
-    return max(round(float(np.sqrt(size / PLACES)), 1), 0.5)
+    return max(round(float(np.sqrt(size / DEFAULT_PLACES)), 1), 0.5)
 
 
 def may_stand(
     areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
 ) -> Bools:
-    """A tripod may stand under an instrument at positions (N, 3) [m], (N,)."""
+    """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand."""
     good = np.zeros(len(position), dtype=bool)
     for area in areas:
         good |= area.holds(position)
@@ -237,29 +252,32 @@ def may_stand(
     return good
 
 
-def objection(
+def reason_against(
     areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
 ) -> str:
-    """Reason that no tripod may stand under an instrument at a position (3,) [m], with the key; empty if one may."""
+    """Reason why no tripod may stand under an instrument position (3,) [m], with the key of the plan file.
+
+    It is empty if one may.
+    """
     if may_stand(areas, keep_outs, obstacles, position[None])[0]:
         return ""
     place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]
     if not under:
-        return "outside the floor where tripods may stand (floor.corners_mm, floor.areas, floor.margin_mm)"
+        return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
     if not any(area.holds(position[None])[0] for area in under):
         low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
     if any(free.holds(place)[0] for free in keep_outs):
-        return "where the floor is kept free (floor.keep_outs, floor.doors)"
+        return "on floor that is kept free (floor.keep_outs, floor.doors)"
     return "inside an obstacle (workshop.obstacles)"
 
 
-def over(area: Area, step: float, heights: int) -> Floats:
-    """Grid (N, 3) [m] over the rectangle around an area, at its heights."""
+def grid_over(area: Area, step: float, heights: int) -> Floats:
+    """Grid (N, 3) [m] over the bounding rectangle of an area, at each of its heights."""
     low, high = area.outline.min(axis=0), area.outline.max(axis=0)
     count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
     bottom, top = area.heights
-    levels = np.linspace(bottom, top, heights if top - bottom > EDGE else 1)
+    levels = np.linspace(bottom, top, heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

@@ -1,4 +1,4 @@
-"""Obstacles: what stands between a station and a target, where no station can stand, and where nests can be mounted.
+"""Obstacles as triangle meshes: blocked lines of sight, positions inside bodies, surfaces for nests.
 
 Embree (the extra `cad`) casts the rays in single precision; rays that pass close to an edge, where it may err either
 way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
@@ -7,6 +7,7 @@ way, are cast again here in double precision. Without it all are, which takes lo
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 from itertools import product
 from typing import Any
 
@@ -16,45 +17,49 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z, perpendicular
 
-GRAZE = 1e-4
-"""Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
+BUNDLE_RADIUS = 1e-4
+"""Half-width [m] of the bundle of rays around a line of sight whose results must agree; single precision errs by 1e-6 m
+at 10 m.
+"""
 END = 1e-6
 CHUNK = 2_000_000
-SKY = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
-"""Slightly off the vertical, so that edges of upright boxes are not met all along."""
-SMOOTH = np.radians(35.0)
-"""Angle under which two triangles are taken for parts of one curved surface."""
-SIDES = 64
-"""Number of sides of a cylinder: 0.1 % more than its diameter at the corners."""
-FOOT = 0.025
-"""[m] Radius of the foot of a nest."""
-UNEVEN = 0.002
-"""[m] Largest deviation of the surface from a plane under the foot."""
-STEEPEST = -0.5
-"""Smallest vertical component of a face's normal: faces that look down more carry no nest."""
-DENSE = 12.0
-"""Places that are drawn for every square of the wanted distance, before the near ones are dropped."""
-MOST_DRAWN = 20_000
-SAME = 8
-"""Decimals [m] in which corners agree that are one."""
-BOX = np.array(list(product((-0.5, 0.5), repeat=3)))[
+UPWARDS = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
+"""Direction of vertical test rays, tilted slightly so that they do not run along the edges of upright boxes."""
+SMOOTH_ANGLE = np.radians(35.0)
+"""Angle [rad] between neighbouring triangles below which they count as one curved surface."""
+CYLINDER_SIDES = 64
+"""Number of sides of a cylinder; its corners are 0.1 % outside the diameter."""
+FOOT_RADIUS = 0.025
+"""Radius [m] of the foot of a nest."""
+MAX_UNEVENNESS = 0.002
+"""Largest deviation [m] of the surface from a plane under the foot of a nest."""
+MIN_NORMAL_Z = -0.5
+"""Smallest vertical component of a face's normal: steeper overhanging faces carry no nest."""
+DRAWS_PER_PLACE = 12.0
+"""Number of random places drawn per square of the wanted spacing, before places too near to others are dropped."""
+MAX_DRAWN = 20_000
+MERGE_DECIMALS = 8
+"""Number of decimals [m] to which corners are rounded when equal corners are merged."""
+UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
 ].reshape(12, 3, 3)
-"""Triangles (12, 3, 3) of a cube of edge 1 about the origin, normals outward; nests are drawn in their order."""
+"""Triangles (12, 3, 3) of a cube of edge 1 m about the origin, normals outward; random places on it depend on their
+order.
+"""
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Triangles in the network frame."""
+    """Obstacles of the hall: triangles in the network frame."""
 
     triangles: Floats
-    """Corners, (m, 3, 3) [m]."""
+    """Corners of the triangles, (m, 3, 3) [m]."""
     floor: float = 0.0
-    """[m]: height on which tripods stand."""
+    """Height [m] of the floor on which tripods stand."""
 
     @cached_property
     def _rays(self) -> Any:
-        """Embree's rays; None where it is not installed, or there is nothing to hit."""
+        """Ray caster of Embree; None if it is not installed, or if there are no triangles."""
         if not len(self.triangles):
             return None
         try:
@@ -67,13 +72,13 @@ class Obstacles:
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def blocked(self, origins: Floats, ends: Floats) -> Bools:
-        """A triangle lies between origins and ends (n, 3) [m]; touching an edge counts, (n,)."""
+        """Flags (n,): a triangle lies between an origin and an end (n, 3) [m]; touching an edge counts."""
         hit = self._met(origins, ends)
         if self._rays is None or not hit.size:
             return hit
         length = np.linalg.norm(ends - origins, axis=1)
         beam = (ends - origins) / length[:, None]
-        side, other = (GRAZE * way for way in perpendicular(beam))
+        side, other = (BUNDLE_RADIUS * way for way in perpendicular(beam))
         votes = [self._met(origins + shift, ends + shift) for shift in (side, -side, other, -other)]
         doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
@@ -82,7 +87,8 @@ class Obstacles:
     def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
         """Flags (n,): a body hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
 
-        Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
+        Rays start at the corners of a square around the circle of that radius, perpendicular to the line of sight, so
+        that an edge of a body is not missed.
         """
         sight = ends - origins
         side, other = perpendicular(sight / np.linalg.norm(sight, axis=1, keepdims=True))
@@ -94,7 +100,7 @@ class Obstacles:
         return hit
 
     def _met(self, origins: Floats, ends: Floats) -> Bools:
-        """A triangle lies between, to the precision of the rays in use, (n,)."""
+        """Flags (n,): a triangle lies between origin and end, to the precision of the ray caster in use."""
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
         length = np.linalg.norm(ends - origins, axis=1)
@@ -104,36 +110,38 @@ class Obstacles:
         point, ray, _ = self._rays.intersects_location(origins, beam, multiple_hits=False)
         hit = np.zeros(len(origins), dtype=bool)
         way = np.linalg.norm(point - origins[ray], axis=1)
-        hit[ray] = way < length[ray] - GRAZE
+        hit[ray] = way < length[ray] - BUNDLE_RADIUS
         return hit
 
     def holds(self, points: Floats) -> Bools:
-        """Points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces, (n,)."""
+        """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of surfaces."""
         (west, south), (east, north) = self._above
-        flat = _from_sky(points)
+        flat = _projected_along_upwards(points)
         count = np.zeros(len(points), dtype=np.int64)
         step = max(1, CHUNK // max(len(self.triangles), 1))
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
             i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
-            met = _meets(self.triangles[t], points[start + i], SKY, np.inf)
+            met = _is_hit(self.triangles[t], points[start + i], UPWARDS, np.inf)
             count[start : start + step] = np.bincount(i[met], minlength=len(x))
         return count % 2 == 1
 
     @cached_property
     def _above(self) -> tuple[Floats, Floats]:
-        """Corners (2, m) of the rectangles round the triangles as the sky sees them."""
-        flat = _from_sky(self.triangles)
+        """Corners (2, m) of the bounding rectangles of the triangles, seen from above."""
+        flat = _projected_along_upwards(self.triangles)
         return flat.min(axis=1).T - END, flat.max(axis=1).T + END
 
     @cached_property
     def _open(self) -> Floats:
-        """(m,) [m]: how far from a triangle the curved surface may lie that it stands for; none at sharp edges.
+        """Distance (m,) [m] from each triangle within which the curved surface that it approximates may lie.
 
-        A third of its height over an edge times the angle there: the depth at the middle of regular triangles on a
-        sphere, and more than that of strips on a cylinder.
+        Zero at sharp edges.
+
+        It is a third of the triangle's height over an edge times the angle there: the depth at the middle of regular
+        triangles on a sphere, and more than that of strips on a cylinder.
         """
-        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), SAME), axis=0, return_inverse=True)
+        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
         sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
         _, kind, often = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
@@ -141,7 +149,7 @@ class Obstacles:
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
         normal, area = _normals(points[faces])
         angle = np.arccos(np.clip(_dot(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
-        shared, angle = shared[angle < SMOOTH], angle[angle < SMOOTH]
+        shared, angle = shared[angle < SMOOTH_ANGLE], angle[angle < SMOOTH_ANGLE]
         edge = np.linalg.norm(np.diff(points[sides[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
         for side in (shared // 3).T:
@@ -150,28 +158,28 @@ class Obstacles:
 
     @cached_property
     def _put(self) -> dict[bytes, Floats]:
-        """Cache of `over_skin` by the bytes of its points: sights of the same points are computed many times."""
+        """Cache of `moved_to_surface` by the bytes of its points: the same points are tested many times."""
         return {}
 
-    def over_skin(self, points: Floats) -> Floats:
-        """Points (n, 3) [m], those inside a body by no more than its triangles leave open put just over it."""
+    def moved_to_surface(self, points: Floats) -> Floats:
+        """Points (n, 3) [m]; those inside a body by less than its mesh tolerance are moved just above its surface."""
         if (key := points.tobytes()) not in self._put:
             projected = points.copy()
             for i in np.flatnonzero(self.holds(points)):
                 nearest = nearest_points(self.triangles, points[i])
                 gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
-                if END < gap[best] < self._open[best] + GRAZE:
-                    projected[i] = nearest[best] + GRAZE * (nearest[best] - points[i]) / gap[best]
+                if END < gap[best] < self._open[best] + BUNDLE_RADIUS:
+                    projected[i] = nearest[best] + BUNDLE_RADIUS * (nearest[best] - points[i]) / gap[best]
             self._put[key] = projected
         return self._put[key]
 
     def encloses(self, points: Floats) -> Bools:
-        """Head inside a closed body, or the tripod under it through something (points (n, 3), [m]), (n,)."""
+        """Flags (n,) of positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
         feet = points.copy()
-        feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
+        feet[:, 2] = np.minimum(self.floor + BUNDLE_RADIUS, points[:, 2] - BUNDLE_RADIUS)
         return self.holds(points) | self.blocked(points, feet)
 
 
@@ -185,13 +193,13 @@ def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats
     step = max(1, CHUNK // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
-        met = _meets(triangles, origins[rows, None], beam[rows, None], length[rows, None])
+        met = _is_hit(triangles, origins[rows, None], beam[rows, None], length[rows, None])
         count[rows] = met.sum(axis=1)
     return count
 
 
-def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
-    """A triangle (..., 3, 3) is met by its ray before `length`, (...)."""
+def _is_hit(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
+    """Flags (...): a ray meets its triangle (..., 3, 3) before `length`."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
@@ -207,14 +215,14 @@ def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | fl
 
 
 def _normals(triangles: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (m, 3) of triangles, none of one without an area, and areas (m,)."""
+    """Unit normals (m, 3) of triangles, zero for a triangle without area, and areas (m,)."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(cross, axis=1)
     return cross / np.where(size > 0.0, size, 1.0)[:, None], 0.5 * size
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
-    """The point (m, 3) of each triangle that is nearest to a point (3,): straight under it, or on an edge."""
+    """Point (m, 3) of each triangle that is nearest to a point (3,): its foot on the plane, or a point on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     along = np.clip(_dot(gap, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + along[..., None] * edge
@@ -225,29 +233,32 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
     return np.where(over[:, None], under, on_edge[np.arange(len(best)), best])
 
 
-def _from_sky(points: Floats) -> Floats:
-    """Horizontal projection (..., 2) of points (..., 3) along `SKY`."""
-    return points[..., :2] - points[..., 2:] * SKY[:2] / SKY[2]
+def _projected_along_upwards(points: Floats) -> Floats:
+    """Horizontal projection (..., 2) of points (..., 3) along `UPWARDS`."""
+    return points[..., :2] - points[..., 2:] * UPWARDS[:2] / UPWARDS[2]
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
-def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
+def transformed(triangles: Floats, position: Floats, yaw: float) -> Floats:
     """Triangles (m, 3, 3) turned by `yaw` [rad] about z and moved to `position` (3,) [m]."""
     return triangles @ about_z(yaw).T + position
 
 
 def box(size: Floats) -> Floats:
     """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
-    return BOX * size + [0.0, 0.0, 0.5 * size[2]]
+    return UNIT_CUBE * size + [0.0, 0.0, 0.5 * size[2]]
 
 
 def cylinder(diameter: float, height: float) -> Floats:
     """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
-    radius, turn = 0.5 * diameter / np.cos(np.pi / SIDES), np.linspace(0.0, 2.0 * np.pi, SIDES + 1)[:-1]
-    low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(SIDES)])
+    radius, turn = (
+        0.5 * diameter / np.cos(np.pi / CYLINDER_SIDES),
+        np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES + 1)[:-1],
+    )
+    low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(CYLINDER_SIDES)])
     up, foot = np.array([0.0, 0.0, height]), np.zeros_like(low)
     then = np.roll(low, -1, axis=0)
     sides = [low, foot, then, low, then, low + up, low + up, then, then + up, low + up, then + up, foot + up]
@@ -256,13 +267,28 @@ def cylinder(diameter: float, height: float) -> Floats:
 
 def walls(size: Floats) -> Floats:
     """Triangles (8, 3, 3) of the walls of a room of `size` (3,) [m] with a corner at the origin; normals inward."""
-    body = (BOX + 0.5) * size
+    body = (UNIT_CUBE + 0.5) * size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
-def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
-    """Obstacles of several sets of triangles."""
-    return Obstacles(np.concatenate([np.zeros((0, 3, 3)), *parts]), floor)
+def joined_obstacles(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
+    """Obstacles of several sets of triangles; those of the last call again where they are the same.
+
+    The rays of a large hall take 600 bytes a triangle, and memory that only the garbage collection frees.
+    """
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
+    key = blake2b(triangles.ravel().data).digest(), floor
+    latest = _LATEST.get(key)
+    if latest is None:
+        triangles.flags.writeable = False
+        latest = Obstacles(triangles, floor)
+        _LATEST.clear()
+        _LATEST[key] = latest
+    return latest
+
+
+_LATEST: dict[tuple[bytes, float], Obstacles] = {}
+"""Obstacles of the last call of `joined_obstacles`, by a digest of their triangles and the height of their floor."""
 
 
 def nest_places(
@@ -271,46 +297,46 @@ def nest_places(
     """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
 
     Their centres are `reach` [m] over the surface, at least `spacing` [m] from each other, and outside all bodies of
-    `around`. The outer side of a `closed` body is found, whatever way its triangles are wound; of an open surface it is
-    that of the normals.
+    `around`. The outer side of a `closed` body is determined for any orientation of its triangles; that of an open
+    surface is the side of the normals.
     """
-    drawn, normal = _drawn(body, spacing)
+    drawn, normal = _random_points(body, spacing)
     surface = Obstacles(body)
     if closed:
         normal[surface.holds(drawn + reach * normal)] *= -1.0
     places = drawn + reach * normal
-    good = normal[:, 2] > STEEPEST
+    good = normal[:, 2] > MIN_NORMAL_Z
     good &= ~(closed & surface.holds(places))
     if around is not None:
         good &= ~around.holds(places)
-    good[good] = _flat(surface, places[good], normal[good], reach)
-    return _spread(places[good], spacing)
+    good[good] = _is_flat(surface, places[good], normal[good], reach)
+    return _thinned(places[good], spacing)
 
 
-def _drawn(body: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Points spread evenly by chance over triangles, and their normals (n, 3)."""
+def _random_points(body: Floats, spacing: float) -> tuple[Floats, Floats]:
+    """Random points, uniform over the area of triangles, and their normals, both (n, 3)."""
     normal, area = _normals(body)
     rng = stream(0, "nests")
-    count = int(np.clip(DENSE * area.sum() / spacing**2, 200, MOST_DRAWN))
+    count = int(np.clip(DRAWS_PER_PLACE * area.sum() / spacing**2, 200, MAX_DRAWN))
     face = rng.choice(len(body), size=count, p=area / area.sum())
     root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     a, b, c = np.moveaxis(body[face], 1, 0)
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 
 
-def _flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
-    """Around the foot of a nest the surface lies where the nest needs it, (n,)."""
+def _is_flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
+    """Flags (n,): the surface around the foot of a nest is flat enough for it."""
     side, other = perpendicular(normal)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
-        rim = places + FOOT * shift
-        good &= surface.blocked(rim, rim - (reach + UNEVEN) * normal)
-        good &= ~surface.blocked(rim, rim - (reach - UNEVEN) * normal)
+        rim = places + FOOT_RADIUS * shift
+        good &= surface.blocked(rim, rim - (reach + MAX_UNEVENNESS) * normal)
+        good &= ~surface.blocked(rim, rim - (reach - MAX_UNEVENNESS) * normal)
     return good
 
 
-def _spread(places: Floats, spacing: float) -> Floats:
-    """Places at least `spacing` [m] from each retained place before them."""
+def _thinned(places: Floats, spacing: float) -> Floats:
+    """Places thinned in their order, so that each is at least `spacing` [m] from all retained ones."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= spacing:

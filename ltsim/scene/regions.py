@@ -1,4 +1,4 @@
-"""Regions of the hall that lines of sight pass: a ball, a column, a height band or a slab, fixed in the network frame.
+"""Regions of the hall that lines of sight pass (ball, column, height band, slab), fixed in the network frame.
 
 A region is Gaussian in the axes that confine it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)), so that the integral of w
 along a line of sight is closed: with a = |A b|^2 of the unit vector b, the nearest approach at s0 and its distance rho,
@@ -23,20 +23,29 @@ SHAPES = {
     "x": "slab across x",
     "y": "slab across y",
 }
-"""Shapes by the axes that confine them."""
-LEAST_STEP, MOST_STEPS = 0.5, 10
-"""[m] Smallest distance between the centres that are tried, and largest number of them along an axis (cost)."""
-LEAST_PASSING, MOST_PASSING = 6, 0.8
-"""Smallest number, and largest share, of the lines of sight that pass a region that is tried: what fewer lines pass is
-an error of single readings, what almost all pass an error of the whole recording."""
-LEAST_TARGETS = 2
-"""Smallest number of targets behind it: what lies on the lines to one target alone is an error of that target."""
-MOVES, FACTORS = (0.5, 0.15), (0.7, 1.4)
-"""Moves of a centre, in widths, and factors on the width, by which a region is refined."""
-AT_ONCE = 300_000
-"""Lines of sight in regions that are in memory at a time: some tens of MB."""
-PARALLEL = 1e-9
-"""Squared sine below which a line runs along a region and stays in it."""
+"""Names of the shapes by the axes in which they are bounded."""
+MIN_STEP, MAX_STEPS = 0.5, 10
+"""Smallest distance [m] between the centres of the coarsest grid, and largest number of centres along an axis (both
+limit the cost).
+"""
+SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
+"""Divisors of that distance in the grids of regions that are bounded in one, two and three axes: a region several times
+as wide as the cause has a tenth of its evidence.
+"""
+MIN_PASSING, MAX_PASSING = 6, 0.8
+"""Smallest number, and largest fraction, of the lines of sight that pass a region that is tried: fewer lines indicate
+an error of single readings, almost all of them an error of the whole recording.
+"""
+MIN_TARGETS = 2
+"""Smallest number of targets behind a region: an error on the lines to one target alone is an error of that target."""
+CENTRE_STEPS, WIDTH_FACTORS = (0.5, 0.15), (0.5, 0.7, 1.4, 2.0)
+"""Steps of a centre, in widths, and factors of the width in the refinement of a region."""
+BATCH_SIZE = 300_000
+"""Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""
+PARALLEL_SINE_SQUARED = 1e-9
+"""Squared sine of the angle between line and region axis below which the line counts as parallel and stays in the
+region.
+"""
 
 
 @dataclass(frozen=True)
@@ -65,7 +74,7 @@ class Region:
         return path
 
     def lever(self, sightings: Sightings) -> Floats:
-        """Integral (n,) [m] of w times the share of the line of sight beyond.
+        """Integral (n,) [m] along the line of sight of w times the remaining fraction of the line.
 
         Along the line w is a Gaussian about the nearest approach s0: the integral of (d - s) w is (d - s0) times the
         path less the first moment about s0.
@@ -83,7 +92,7 @@ class Region:
         return float(near.sum() ** 2 / max(np.sum(near**2), 1e-300))
 
     def nearness(self, sightings: Sightings) -> Floats:
-        """Weight w (n,) at the targets."""
+        """Weight w (n,) of the region at the target of each pointing."""
         at = ["xyz".index(axis) for axis in self.axes]
         gap = sightings.points[:, at] - np.asarray(self.centre)
         near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
@@ -92,8 +101,8 @@ class Region:
     def bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Path (n,) [m] in a ball, and the integral (n, 3) [m] of (d - s) times the gradient of w across the line.
 
-        The part of r - c across a straight line is constant, rho, so that the second is -rho / width^2 times the
-        integral of (d - s) w.
+        The component of r - c perpendicular to a straight line is constant, rho, so that the second is -rho / width^2
+        times the integral of (d - s) w.
         """
         beam, length, width = sightings.unit_vectors[0], sightings.range_, self.width
         start = sightings.position[sightings.station] - np.asarray(self.centre)
@@ -104,12 +113,12 @@ class Region:
         return path, -rho * (lever / width**2)[:, None]
 
     def neighbours(self) -> Iterator["Region"]:
-        """Regions with a centre a little farther along or against each axis, and with another width."""
-        for i, move, sign in product(range(len(self.axes)), MOVES, (1.0, -1.0)):
+        """Regions in the neighbourhood of this one: centre moved along each axis, width changed."""
+        for i, move, sign in product(range(len(self.axes)), CENTRE_STEPS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
             yield replace(self, centre=tuple(centre))
-        for factor in FACTORS:
+        for factor in WIDTH_FACTORS:
             yield replace(self, width=round(self.width * factor, 6))
 
 
@@ -135,7 +144,9 @@ def levers(sightings: Sightings, axes: str, centres: Floats, width: float, path:
 
 
 def _lines(sightings: Sightings, axes: str, centres: Floats) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """Lines of sight along some axes: unit vectors (n, k), lengths (n,), starts less centres (r, n, k), |A b|^2 (n,).
+    """Lines of sight in the coordinates `axes`, relative to the centres of regions.
+
+    Unit vectors (n, k), lengths (n,), starts less centres (r, n, k), |A b|^2 (n,), and flags (n,).
 
     Last, which lines (n,) cross a region, and do not run along it.
     """
@@ -143,7 +154,7 @@ def _lines(sightings: Sightings, axes: str, centres: Floats) -> tuple[Floats, Fl
     beam = sightings.unit_vectors[0][:, at]
     a = np.einsum("ni,ni->n", beam, beam)
     start = sightings.position[sightings.station][:, at] - centres[:, None]
-    return beam, sightings.range_, start, a, a > PARALLEL
+    return beam, sightings.range_, start, a, a > PARALLEL_SINE_SQUARED
 
 
 def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
@@ -153,7 +164,7 @@ def _approach(start: Floats, beam: Floats, a: Floats) -> tuple[Floats, Floats]:
 
 
 def _integral(nearest: Floats, rho: Floats, length: Floats, along: Floats, width: float) -> Floats:
-    """Integral (..., n) of w over lines of a length (n,), with standard deviations `along` (n,) them."""
+    """Integral (..., n) of w over lines of length (n,), with standard deviations `along` (n,) of w along them."""
     from scipy.special import ndtr
 
     share = ndtr((length - nearest) / along) - ndtr(-nearest / along)
@@ -168,7 +179,7 @@ def extent(sightings: Sightings) -> tuple[Floats, Floats]:
 
 
 def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> list[Region]:
-    """Regions of some shapes on a grid over the hall that some, but not almost all, lines of sight pass."""
+    """Regions of the given shapes on a grid over the hall; some, but not almost all, lines of sight pass each."""
     regions: list[Region] = []
     for axes in shapes if len(sightings) else ():
         key = "regions", axes
@@ -179,15 +190,21 @@ def regions_of(sightings: Sightings, shapes: Sequence[str] = tuple(SHAPES)) -> l
 
 
 def _regions(sightings: Sightings, axes: str) -> list[Region]:
-    """Regions of one shape on the grid."""
+    """Regions of one shape on its grids over the hall."""
     low, high = extent(sightings)
-    step = max(LEAST_STEP, float((high - low).max()) / MOST_STEPS)
+    coarsest = max(MIN_STEP, float((high - low).max()) / MAX_STEPS)
+    return [r for parts in SUBDIVISIONS[len(axes)] for r in _on_grid(sightings, axes, coarsest / parts)]
+
+
+def _on_grid(sightings: Sightings, axes: str, step: float) -> list[Region]:
+    """Regions of one shape on a grid with a distance `step` [m] between the centres."""
+    low, high = extent(sightings)
     width, regions = round(0.5 * step, 6), list[Region]()
     grids = [np.arange(low[i] + 0.5 * step, high[i], step).round(6).tolist() for i in map("xyz".index, axes)]
     centres = np.array(list(product(*grids))).reshape(-1, len(axes))
-    for part in np.array_split(centres, 1 + len(centres) * len(sightings) // AT_ONCE):
+    for part in np.array_split(centres, 1 + len(centres) * len(sightings) // BATCH_SIZE):
         inside = paths(sightings, axes, part, width)
-        chosen = np.flatnonzero(_distinctive(inside > width, sightings))
+        chosen = np.flatnonzero(is_distinctive(inside > width, sightings))
         beyond = levers(sightings, axes, part[chosen], width, inside[chosen])
         for i, lever in zip(chosen.tolist(), beyond, strict=True):
             regions.append(region := Region(axes, tuple(part[i].tolist()), width))
@@ -195,12 +212,12 @@ def _regions(sightings: Sightings, axes: str) -> list[Region]:
     return regions
 
 
-def _distinctive(passing: Bools, sightings: Sightings) -> Bools:
-    """Regions (r,) that enough lines of sight (r, n) to several targets pass, and not almost all."""
+def is_distinctive(passing: Bools, sightings: Sightings) -> Bools:
+    """Flags (r,) of the regions that enough lines of sight (r, n) to several targets pass, but not almost all."""
     count = passing.sum(axis=1)
-    enough = (count >= LEAST_PASSING) & (count <= MOST_PASSING * len(sightings))
+    enough = (count >= MIN_PASSING) & (count <= MAX_PASSING * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.points))).astype(np.float32)
     by_target = passing[enough].astype(np.float32) @ of_target
-    enough[enough] = (by_target > 0.0).sum(axis=1) >= LEAST_TARGETS
+    enough[enough] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS
     distinctive: Bools = enough
     return distinctive

@@ -1,4 +1,4 @@
-"""Sightings: the geometry of every pointing, computed once and handed to every effect."""
+"""Geometry of all pointings of a network, computed once for all effects."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,8 +12,8 @@ from ltsim.geometry.kinematics.chain import point_and_derivatives
 from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
 
-STILL = 1e-4
-"""[rad] Smallest motion of an axis that counts as a move."""
+MIN_ROTATION = 1e-4
+"""Smallest rotation [rad] of an axis that counts as a motion."""
 
 
 @dataclass(frozen=True)
@@ -26,64 +26,71 @@ class Sightings:
     station: Ints
     target: Ints
     instrument: Ints
-    """(n,) each: numbers, from 0; those of stations and targets count in `station_names` and `target_names`."""
+    """Numbers of station, target and instrument of each pointing, from 0, each (n,); `station_names` and `target_names`
+    hold the names.
+    """
     face: Ints
     repeat: Ints
-    """(n,) each: face 1 or 2, number of the round."""
+    """Face (1 or 2) and number of the round of each pointing, each (n,)."""
     time: Floats
-    """(n,) [s]."""
+    """Time of each pointing, (n,) [s]."""
     position: Floats
     """Origin of each instrument, (S, 3) [m]."""
     rotation: Floats
-    """Instrument frame to network frame, (S, 3, 3)."""
+    """Rotation of each instrument frame to the network frame, (S, 3, 3)."""
     points: Floats
-    """(T, 3) [m]."""
+    """Coordinates of the targets, (T, 3) [m]."""
     nest_normal: Floats
-    """Unit vector, NaN where unknown, (T, 3)."""
+    """Unit normal of each nest's open face, NaN if unknown, (T, 3)."""
     reaimed: Bools
-    """The reflector is turned toward the station before each pointing, (T,)."""
+    """Flags (T,) of the targets whose reflector is turned towards the station before each pointing."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """(n,)."""
+    """Additional columns of the recording by name, each (n,)."""
     lift: Floats | None = None
-    """(n, 3) [m]: from the target's mark to the reflector, less what the instrument stood higher than `position`."""
+    """Offset (n, 3) [m] of the reflector from the target's mark, less the height of the instrument above `position`;
+    None: no offsets.
+    """
     encoder: Floats | None = None
-    """(n, 3): raw readings with the instrument's own errors in them, where they are known: the phase of fine periodic
-    errors is taken there.
+    """Raw readings (n, 3) that include the instrument's errors, if known: fine periodic errors depend on them. None:
+    ideal readings are used.
     """
 
     def __len__(self) -> int:
         return len(self.station)
 
     def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
-        """The same pointings with stations and targets elsewhere."""
+        """Copy of the sightings with other stations and targets."""
         return replace(self, position=position, rotation=rotation, points=points, encoder=None)
 
     @cached_property
     def derived(self) -> dict[Hashable, Any]:
-        """Quantities of this geometry that several callers compute, by a key of theirs."""
+        """Cache of quantities of this geometry that several callers compute, by their keys."""
         return {}
 
     @cached_property
     def station_ids(self) -> dict[str, list[int]]:
-        """Places of each name of a station: several where candidates for one station are looked at together."""
+        """Indices of the stations with a name.
+
+        Several if alternative positions of one station are evaluated together.
+        """
         return _places(self.station_names)
 
     @cached_property
     def target_ids(self) -> dict[str, list[int]]:
-        """Places of each name of a target."""
+        """Indices of the targets with a name."""
         return _places(self.target_names)
 
     @cached_property
     def arm(self) -> Floats:
-        """(n, 3) [m]: from the instrument to the reflector, network frame."""
+        """Vectors (n, 3) [m] from the instrument to the reflector, network frame."""
         arm: Floats = self.points[self.target] - self.position[self.station]
         return arm if self.lift is None else arm + self.lift
 
     @cached_property
     def local(self) -> Floats:
-        """The target in the instrument's frame, (n, 3) [m]."""
+        """Coordinates (n, 3) [m] of the reflector in the instrument frame."""
         return np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
 
     @cached_property
@@ -98,42 +105,42 @@ class Sightings:
 
     @property
     def read(self) -> Floats:
-        """Raw readings of the instrument as far as its errors are known, ideal ones otherwise, (n, 3)."""
+        """Raw readings (n, 3) of the instrument, `encoder` where given, ideal ones otherwise."""
         return self.raw if self.encoder is None else self.encoder
 
     @property
     def range_(self) -> Floats:
-        """(n,) [m]."""
+        """Ideal range of each pointing, (n,) [m]."""
         return self.polar[:, 0]
 
     @property
     def azimuth(self) -> Floats:
-        """(n,) [rad], front face."""
+        """Ideal azimuth of each pointing on the front face, (n,) [rad]."""
         return self.polar[:, 1]
 
     @property
     def elevation(self) -> Floats:
-        """(n,) [rad], front face."""
+        """Ideal elevation of each pointing on the front face, (n,) [rad]."""
         return self.polar[:, 2]
 
     @cached_property
     def face_sign(self) -> Floats:
-        """(n,): +1 on the front face, -1 on the back."""
+        """Sign of the face of each pointing, (n,): +1 front, -1 back."""
         return np.where(self.face == 2, -1.0, 1.0)
 
     @cached_property
     def jacobian(self) -> Floats:
-        """Derivative of the raw reading by the local point, (n, 3, 3)."""
+        """Derivative (n, 3, 3) of the raw readings with respect to the coordinates in the instrument frame."""
         return polar_jacobian(self.polar, self.face)
 
     @cached_property
     def by_target(self) -> Floats:
-        """Derivative of the raw reading by the target's network coordinates, (n, 3, 3)."""
+        """Derivative (n, 3, 3) of the raw readings with respect to the target's network coordinates."""
         return self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
 
     @cached_property
     def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
-        """Beam, left and up (n, 3) each, in the network frame."""
+        """Unit vectors of the beam, to its left and upwards, each (n, 3), network frame."""
         turn = self.rotation[self.station]
         beam, across, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
         return beam, across, up
@@ -142,8 +149,8 @@ class Sightings:
     def slot_responses(self) -> dict[str, Floats]:
         """Change (n, 3) of the raw readings per unit of correction, for each slot of the misalignment chain.
 
-        A correction lifts the point that a reading describes; for a point that stays, the reading falls,
-        hence the minus sign: a residual shows minus the correction.
+        A correction is added to a reading; for a fixed point the reading is therefore smaller by the correction, hence
+        the minus sign.
         """
         slots = {motion.slot for motion in MISALIGNMENT}
         _, by_slot = point_and_derivatives(MISALIGNMENT, self.raw, {}, slots)
@@ -158,17 +165,17 @@ class Sightings:
 
     @cached_property
     def order(self) -> Ints:
-        """Row indices in the order of the work (by time, ties by row), (n,) int."""
+        """Row indices (n,) in the order of measurement (by time, ties by row)."""
         return np.argsort(self.time, kind="stable")
 
     @cached_property
     def by_set_up(self) -> Ints:
-        """Row indices, one station after the other, each in the order of the work, (n,) int."""
+        """Row indices (n,), station by station, each in the order of measurement."""
         return self.order[np.argsort(self.station[self.order], kind="stable")]
 
     @cached_property
     def previous(self) -> Ints:
-        """Row of the same station's pointing before this one, -1 for its first, (n,) int."""
+        """Row (n,) of the previous pointing of the same station, -1 for its first pointing."""
         rows = self.by_set_up
         before = np.full(len(self), -1)
         same = np.diff(self.station[rows]) == 0
@@ -176,7 +183,7 @@ class Sightings:
         return before
 
     def _summed(self, steps: Floats | Bools) -> Floats:
-        """Sum of the steps (n,) since the first pointing of the set-up, whose own does not count, (n,)."""
+        """Cumulative sum (n,) of the steps (n,) of a set-up, excluding the step of its first pointing."""
         rows = self.by_set_up
         first = np.maximum.accumulate(np.where(self.previous[rows] < 0, np.arange(len(rows)), 0))
         sums = np.cumsum(steps[rows], dtype=np.float64)
@@ -186,9 +193,9 @@ class Sightings:
 
     @cached_property
     def move(self) -> Floats:
-        """Change of the raw readings since the same station's pointing before, 0 for its first, (n, 3) [m, rad].
+        """Change (n, 3) [m, rad] of the raw readings since the previous pointing of the same station; 0 for its first.
 
-        The azimuth takes the short way round.
+        The change of azimuth is the shorter of the two rotations.
         """
         move: Floats = np.where(self.previous[:, None] >= 0, self.raw - self.raw[self.previous], 0.0)
         move[:, 1] = wrap(move[:, 1])
@@ -196,16 +203,16 @@ class Sightings:
 
     @cached_property
     def wound(self) -> Floats:
-        """(n,) [rad]: by how much the head has turned since the set-up began, whole turns of its cables counted."""
+        """Cumulative rotation (n,) [rad] of the head since the set-up began, full turns counted."""
         return self._summed(self.move[:, 1])
 
     @cached_property
     def approach(self) -> Floats:
-        """Sign of the last move of the raw azimuth and elevation, 0 for a station's first pointing, (n, 2).
+        """Sign (n, 2) of the last motion of raw azimuth and elevation; 0 for the first pointing of a station.
 
-        An axis that stands still was last moved earlier; the sequence restarts at every station.
+        For an axis that does not move it is the sign of its last motion; the sequence restarts at every station.
         """
-        sign = np.where(np.abs(self.move[:, 1:]) < STILL, 0.0, np.sign(self.move[:, 1:]))
+        sign = np.where(np.abs(self.move[:, 1:]) < MIN_ROTATION, 0.0, np.sign(self.move[:, 1:]))
         for row in self.order:
             before = self.previous[row]
             if before >= 0:
@@ -214,14 +221,14 @@ class Sightings:
 
     @cached_property
     def seating(self) -> Ints:
-        """(n,) int: how often the reflector was set elsewhere since the set-up began."""
+        """Number (n,) of times that the reflector was moved to another nest since the set-up began."""
         return self._summed(self.target != self.target[self.previous]).astype(np.int64)
 
     @cached_property
     def quantities(self) -> dict[str, Floats]:
-        """Covariates of the readings, (n,) each [SI, or the unit of the recording's column].
+        """Covariates of the readings by name, each (n,) [SI, or the unit of the recording's column].
 
-        What is unknown, and what came before a station's first pointing, is zero.
+        Unknown values, and values before the first pointing of a station, are zero.
         """
         place = self.points[self.target]
         came = self.previous >= 0
@@ -262,7 +269,7 @@ class Sightings:
 
     @cached_property
     def _nest(self) -> tuple[Floats, Floats]:
-        """Incidence angle and its direction in the plane of the open face."""
+        """Incidence angle, and direction of incidence in the plane of the open face, each (n,) [rad]."""
         x, y, z = self.nest_normal.T
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
@@ -276,12 +283,12 @@ class Sightings:
 
     @property
     def incidence(self) -> Floats:
-        """Angle between the beam and the nest's normal; NaN where the nest is unknown, (n,) [rad]."""
+        """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the nest is unknown."""
         return self._nest[0]
 
     @property
     def incidence_direction(self) -> Floats:
-        """(n,) [rad]: where the station lies around the nest's normal, 0 along the open face's horizontal."""
+        """Azimuth (n,) [rad] of the station around the nest's normal, 0 along the horizontal of the open face."""
         return self._nest[1]
 
 

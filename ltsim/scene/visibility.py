@@ -22,7 +22,7 @@ TOUCH = 1e-9
 
 
 class Reason(IntEnum):
-    """Reason that a station does not see a target: the first that applies."""
+    """Reason why a station does not see a target; the first one that applies."""
 
     VISIBLE = 0
     STATION_INSIDE = 1
@@ -34,7 +34,7 @@ class Reason(IntEnum):
     OBSTACLE = 7
 
 
-WORDS = (
+REASON_TEXTS = (
     "",
     "station inside an obstacle",
     "out of range",
@@ -44,94 +44,94 @@ WORDS = (
     "turned beyond the reflector's acceptance",
     "hidden by an obstacle",
 )
-"""Words for each reason; empty for a pair that sees each other."""
+"""Text of each reason; empty for a visible pair."""
 
 
 @dataclass(frozen=True)
 class SightLimits:
-    """Limits of an instrument and its reflectors [rad, m]."""
+    """Limits of visibility of an instrument and its reflectors [rad, m]."""
 
     elevation_min: float = -55.0 * DEGREE
     elevation_max: float = 77.0 * DEGREE
-    """Travel of the elevation axis, in the instrument's frame."""
+    """Highest elevation of the instrument."""
     range_min: float = 0.5
     range_max: float = 20.0
     acceptance: float = 30.0 * DEGREE
-    """Largest incidence on a reflector."""
+    """Largest incidence angle on a reflector."""
     opening: float | None = None
-    """Full angle of a shadow cone that is kept free; None: the one that `elevation_min` hides."""
+    """Full angle of the shadow cone below the instrument; None: the one that follows from `elevation_min`."""
 
     @property
     def cone_opening(self) -> float:
-        """Full angle [rad] of the shadow cone that holds: 70 deg for a limit of -55 deg, unless stated."""
+        """Full angle [rad] of the shadow cone in effect: `opening`, or the one that `elevation_min` implies."""
         return cone_opening(self.elevation_min) if self.opening is None else self.opening
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """The table of a layout."""
+    """Visibility of each target from each station of a layout."""
 
     reason: NDArray[np.int8]
-    """Values of `Reason`, (S, T)."""
+    """Values of `Reason` for each pair, (S, T); 0 for a visible pair."""
     range_: Floats
-    """(S, T) [m]."""
+    """Distance of each pair, (S, T) [m]."""
     elevation: Floats
-    """(S, T) [rad]: in the instrument's frame."""
+    """Elevation of each target in the instrument frame, (S, T) [rad]."""
     incidence: Floats
-    """(S, T) [rad]: on the reflector; 0 where it is re-aimed, NaN where its nest is unknown."""
+    """Incidence angle on each reflector, (S, T) [rad]; 0 for a re-aimed reflector, NaN for an unknown nest."""
     limits: tuple[SightLimits, ...]
-    """(S,): of each station's instrument."""
+    """Limits of each station's instrument, S entries."""
 
     @property
     def visible(self) -> Bools:
-        """(S, T) bool."""
+        """Flags (S, T) of the pairs that see each other."""
         return np.asarray(self.reason == Reason.VISIBLE)
 
     def words(self) -> list[list[str]]:
-        """The reason of each pair in words, '' where the station sees the target."""
-        return [[self._why(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
+        """Text of the reason for each pair, '' for a visible pair."""
+        return [[self._reason_text(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
 
     def kinds(self) -> list[list[str]]:
-        """Reasons without the numbers of the pair, in the form of `words`."""
-        return [[WORDS[code] for code in line] for line in self.reason.tolist()]
+        """Texts of the reasons, as `words`, but without the numbers of the pair."""
+        return [[REASON_TEXTS[code] for code in line] for line in self.reason.tolist()]
 
-    def _why(self, station: int, target: int) -> str:
-        """The reason of a pair, with its number, the limit and the key that states it where one does."""
+    def _reason_text(self, station: int, target: int) -> str:
+        """Text of the reason of a pair: its value, the limit, and the key that states the limit, if any."""
         code, limits = self.reason[station, target], self.limits[station]
         range_, elevation = self.range_[station, target], self.elevation[station, target] / DEGREE
         key, number = {
             Reason.RANGE: (
                 "range_min_mm" if range_ < limits.range_min else "range_max_mm",
-                f"{range_:.2f} m, {limits.range_min:g} to {limits.range_max:g} m can be measured",
+                f"{range_:.2f} m, expected {limits.range_min:g} to {limits.range_max:g} m",
             ),
             Reason.BELOW: (
                 "elevation_min_deg",
-                f"{elevation:.1f} deg, {limits.elevation_min / DEGREE:.4g} is the least",
+                f"{elevation:.1f} deg, the minimum is {limits.elevation_min / DEGREE:.4g} deg",
             ),
             Reason.ABOVE: (
                 "elevation_max_deg",
-                f"{elevation:.1f} deg, {limits.elevation_max / DEGREE:.4g} is the most",
+                f"{elevation:.1f} deg, the maximum is {limits.elevation_max / DEGREE:.4g} deg",
             ),
         }.get(code, ("", ""))
-        return f"{WORDS[code]} ({number}: instrument.limits.{key})" if key else WORDS[code]
+        return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]
 
     def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
-        """Sentences on the pairs that do not see each other, one per pair."""
+        """Sentences about the pairs that do not see each other, one per pair."""
         return [
-            f"{stations[s]} does not see {targets[t]}: {self._why(s, t)}"
+            f"{stations[s]} does not see {targets[t]}: {self._reason_text(s, t)}"
             for s, t in np.argwhere(~self.visible).tolist()
         ]
 
 
 def cone_opening(elevation_min: float) -> float:
-    """Full angle [rad] of the cone under an instrument that its lowest elevation [rad] hides (-55 deg: 70 deg)."""
+    """Full angle [rad] of the shadow cone under an instrument by its lowest elevation [rad]: 70 deg for -55 deg."""
     return float(np.pi + 2.0 * elevation_min)
 
 
 def shadow_radius(position: Floats, height: float, opening: float) -> Floats:
     """Radius (S,) [m] of the shadow circles at `height` [m] under upright instruments at `position` (S, 3).
 
-    Zero where the instrument stands lower. The circles' centres are the positions themselves.
+    The radius is zero for an instrument below `height`. The circles are centred under the positions.
     """
     above = np.maximum(position[:, 2] - height, 0.0)
     return above * np.tan(0.5 * opening)
@@ -147,17 +147,17 @@ def visibility(
     reaimed: Bools | None = None,
     obstacles: Obstacles | None = None,
 ) -> Visibility:
-    """Tables of who sees whom, from origins of instruments (S, 3) [m] to points (T, 3) [m].
+    """Visibility tables from instrument origins (S, 3) [m] to points (T, 3) [m].
 
-    Instruments stand upright where no `rotation` (S, 3, 3), instrument frames to the network frame, is given. Open
-    faces look along `nest_normal` (T, 3), rows of NaN are unknown and accept every beam; reflectors are turned to the
-    station where `reaimed` (T,) says so, all where it is not given.
+    Without `rotation` (S, 3, 3), instrument frame to network frame, the instruments are upright. `nest_normal` (T, 3)
+    are the normals of the open faces; a row of NaN is unknown and accepts every beam. Reflectors with `reaimed` (T,)
+    are turned to the station; by default all are.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
     range_ = np.linalg.norm(sight, axis=2)
     if np.any(range_ < TOUCH):
-        raise ModelError("a target stands at the origin of a station")
+        raise ModelError("a target is at the origin of a station")
     beam = sight / range_[:, :, None]
     down = np.broadcast_to(DOWN, position.shape) if rotation is None else rotation @ DOWN
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
@@ -178,8 +178,11 @@ def visibility(
     return Visibility(reason, range_, elevation, incidence, (limits,) * len(position))
 
 
-def in_order(tables: Sequence[Visibility], order: Ints) -> Visibility:
-    """The tables of several groups of stations as one, its stations (S,) taken in `order` from those of the groups."""
+def joined_tables(tables: Sequence[Visibility], order: Ints) -> Visibility:
+    """Joint table of several groups of stations.
+
+    `order` gives for each station its row in the joined groups.
+    """
     columns = [(t.reason, t.range_, t.elevation, t.incidence) for t in tables]
     reason, range_, elevation, incidence = (np.concatenate(column)[order] for column in zip(*columns, strict=True))
     limits = [limits for table in tables for limits in table.limits]
@@ -187,7 +190,7 @@ def in_order(tables: Sequence[Visibility], order: Ints) -> Visibility:
 
 
 def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:
-    """Angle between the beam back to the station and the open face's normal, (S, T) [rad]."""
+    """Incidence angle (S, T) [rad] between the beam towards the station and the normal of the open face."""
     if nest_normal is None or reaimed is None:
         return np.zeros(beam.shape[:2])
     length = np.linalg.norm(nest_normal, axis=1, keepdims=True)
@@ -196,16 +199,16 @@ def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) 
 
 
 def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
-    """Enter pairs that something hides; rays are cast only for pairs that nothing else separates."""
+    """Marking of the pairs that an obstacle hides; rays are cast only for pairs that no other reason excludes."""
     inside = obstacles.encloses(position)
     pairs = np.argwhere((reason == Reason.VISIBLE) & ~inside[:, None])
-    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], obstacles.over_skin(points)[pairs[:, 1]])]
+    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], obstacles.moved_to_surface(points)[pairs[:, 1]])]
     reason[hidden[:, 0], hidden[:, 1]] = Reason.OBSTACLE
     reason[inside] = Reason.STATION_INSIDE
 
 
 def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Directions (T, 3) in which fixed reflectors serve all stations, and the half-angle (T,) [rad] around them.
+    """Directions (T, 3) in which fixed reflectors serve all stations, and half-angles (T,) [rad] around them.
 
     The direction is the axis of the narrowest cone around the stations; a target can serve all of them when the
     reflector's acceptance is larger.

@@ -1,1 +1,1 @@
-"""Virtual workshops: a scenario and a seed give a recording and its truth."""
+"""Simulation of virtual workshops: a scenario and a seed give a recording and its truth."""

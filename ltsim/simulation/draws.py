@@ -1,7 +1,7 @@
-"""Random values of a trial and their distributions: one sampler for recordings and campaigns.
+"""Random values of a trial and their distributions, for single recordings and campaigns alike.
 
-A draw is keyed by the seed, what it is for, and the number of its trial. Adding an effect, a station's twin, a method
-or a worker changes no other draw.
+The key of a draw is the seed, its purpose and the number of the trial. An additional effect, method or worker therefore
+does not change other draws.
 """
 
 from __future__ import annotations
@@ -25,30 +25,33 @@ from ltsim.scene.sightings import Sightings
 from ltsim.simulation.physics import reflector_error
 from ltsim.simulation.scenario import Scenario
 
-CERTIFIED = 1e-4 * MILLIMETRE
-"""Step of the lengths on a certificate."""
+CERTIFICATE_STEP = 1e-4 * MILLIMETRE
+"""Rounding step [m] of the lengths on a certificate."""
 
 
 @dataclass(frozen=True)
-class EffectLaw:
-    """An effect whose parameters are drawn from N(mean, sigma^2), half of it where they are never negative."""
+class EffectDistribution:
+    """Effect whose parameters are drawn from N(mean, sigma^2), folded for a parameter that is never negative."""
 
     effect: Effect
     mean: Floats
     sigma: Floats
-    """(q,) [SI] each; sigma is 0 for a declared value."""
+    """Mean and standard deviation of each parameter, (q,) [SI]; sigma is 0 for a declared value."""
     number: int = 1
     """Index among identical effects at the same place, from 1."""
 
     @property
-    def upward(self) -> Bools:
-        """Flags of added variances and other values that are never negative, (q,)."""
+    def is_nonnegative(self) -> Bools:
+        """Flags (q,) of the parameters that are never negative, such as added variances."""
         kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
-def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
-    """Distributions of the effects of a scenario, in the order of its entries, then that of the reflectors' error."""
+def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectDistribution, ...]:
+    """Distributions of the effects of a scenario, in the order of its entries.
+
+    The incidence error of the reflectors is last.
+    """
     counts, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
@@ -59,30 +62,30 @@ def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[Effect
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
         counts[effect.name, effect.place] += 1
-        laws.append(EffectLaw(effect, mean, sigma, counts[effect.name, effect.place]))
+        laws.append(EffectDistribution(effect, mean, sigma, counts[effect.name, effect.place]))
     return tuple(laws)
 
 
 @dataclass(frozen=True)
-class Normal:
-    """Standard normal numbers (size, B) of trials (B,) of a seed, by stream key."""
+class NormalSource:
+    """Source of standard normal numbers (size, B) for trials (B,) of a seed, by stream key."""
 
     seed: int
     trials: Ints
 
     def __call__(self, size: int, *what: str | int) -> Floats:
-        """Numbers (size, B) of a stream key."""
+        """Standard normal numbers (size, B) of a stream key."""
         return trials_normal(self.seed, self.trials, size, *what)
 
-    def per_trial(self) -> list[Normal]:
-        """Sources of single trials; shared draws are cached."""
+    def per_trial(self) -> list[NormalSource]:
+        """Sources of the single trials; shared draws are cached."""
         together = lru_cache(maxsize=None)(self.__call__)
-        return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
+        return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
-class _Column(Normal):
-    """Standard normal numbers of one trial."""
+class _SingleTrialSource(NormalSource):
+    """Source of standard normal numbers of one trial in a batch."""
 
     together: Callable[..., Floats] = trials_normal
     place: int = 0
@@ -93,45 +96,45 @@ class _Column(Normal):
 
 @dataclass(frozen=True)
 class Draw:
-    """Values drawn for B trials; the last index is the trial."""
+    """Random values of B trials; the last index of each array is the trial."""
 
     trials: Ints
-    """(B,): their numbers."""
+    """Numbers of the trials, (B,)."""
     values: Floats
-    """(I, p, B) [SI]: true instrument parameters."""
+    """True instrument parameters, (I, p, B) [SI]."""
     amounts: tuple[Floats, ...]
-    """(q, B) [SI]: true parameters of each effect."""
+    """True parameters of each effect, (q, B) [SI]."""
     noise: Floats
     """Errors of the readings, (n, 3, B) [m, rad, rad]."""
     certified: Floats
-    """Known lengths as their certificates state them, at the temperature of the calibration, (g, B) [m]."""
+    """Reference lengths on their certificates, at the temperature of calibration, (g, B) [m]."""
 
 
 @dataclass(frozen=True)
 class TrialDraws:
-    """The trials that a geometry can have."""
+    """Distributions of all random values of a trial on a given geometry."""
 
     sightings: Sightings
     construction: Construction
     instruments: tuple[str, ...]
-    """Names of the trackers; '' for one without."""
+    """Names of the trackers; '' for one without a name."""
     mean: Floats
     sigma: Floats
-    """The instruments' errors are drawn from N(mean, sigma^2), (I, p) [SI]."""
+    """Standard deviations of the instrument errors, which are N(mean, sigma^2), (I, p) [SI]."""
     noise: Floats
-    """Standard deviations of the readings, without what effects on the noise add, (n, 3) [m, rad, rad]."""
+    """Standard deviations of the readings without noise effects, (n, 3) [m, rad, rad]."""
     lengths: ReferenceLengths
-    """True lengths, with the sigmas of their certificates."""
+    """True reference lengths, with the sigmas of their certificates."""
     names: tuple[str, ...]
-    """Names of the targets between which the lengths are."""
-    effects: tuple[EffectLaw, ...] = ()
+    """Names of the targets at the ends of the reference lengths."""
+    effects: tuple[EffectDistribution, ...] = ()
     certificate_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
-    def draw(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Draw:
-        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given.
+    def draw(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> Draw:
+        """Random values of trials; `values` (I, p, B) [SI] replaces the instrument errors if given.
 
-        `apart` is a word that tells the noise from that of the same trials in another place.
+        `stream_key` distinguishes the noise of the same trials at another place.
 
         Raises SetupError when an effect leaves a variance below zero.
         """
@@ -144,7 +147,7 @@ class TrialDraws:
         errors = self._values(numbers) if values is None else values
         return Draw(numbers.trials, errors, amounts, white, self._certified(amounts, numbers))
 
-    def _values(self, numbers: Normal) -> Floats:
+    def _values(self, numbers: NormalSource) -> Floats:
         values = np.repeat(self.mean[:, :, None], len(numbers.trials), axis=2)
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
@@ -152,16 +155,16 @@ class TrialDraws:
                 values[i, k] += self.sigma[i, k] * numbers(1, *key, self.construction.names[k])[0]
         return values
 
-    def _amounts(self, law: EffectLaw, numbers: Normal) -> Floats:
+    def _amounts(self, law: EffectDistribution, numbers: NormalSource) -> Floats:
         amounts = np.repeat(law.mean[:, None], len(numbers.trials), axis=1)
         for k in np.flatnonzero(law.sigma):
             key = (law.effect.name, law.effect.place, law.number, law.effect.parameters[k].name)
             drawn = numbers(1, "effect", *key)[0]
-            amounts[k] += law.sigma[k] * (np.abs(drawn) if law.upward[k] else drawn)
+            amounts[k] += law.sigma[k] * (np.abs(drawn) if law.is_nonnegative[k] else drawn)
         return amounts
 
     def noise_sigma(self, amounts: tuple[Floats, ...]) -> Floats:
-        """True standard deviation of the noise, (n, 3, 1) or, where effects on it differ by trial, (n, 3, B)."""
+        """True standard deviation of the noise, (n, 3, 1), or (n, 3, B) if noise effects differ by trial."""
         on_noise = [
             (law.effect, amount)
             for law, amount in zip(self.effects, amounts, strict=True)
@@ -176,26 +179,26 @@ class TrialDraws:
         for effect, amount in on_noise:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
-                raise SetupError(f"effects: {effect.name} takes away more noise than there is; give larger values")
+                raise SetupError(f"effects: {effect.name} makes a variance of the noise negative; give larger values")
             sigma = np.sqrt(variance)
         return sigma
 
-    def _certified(self, amounts: tuple[Floats, ...], numbers: Normal) -> Floats:
-        """The certificates: of the true coefficient and temperature, which are not those that are stated."""
+    def _certified(self, amounts: tuple[Floats, ...], numbers: NormalSource) -> Floats:
+        """Lengths on the certificates, computed with the true coefficient and temperature and not the declared ones."""
         lengths = self.lengths
         growth = np.repeat(lengths.factor[:, None], len(numbers.trials), axis=1)
         for name, change in lengths.shared.items():
             growth += (change / (lengths.length / lengths.factor))[:, None] * numbers(1, name)
-        length = lengths.length[:, None] + self.longer(amounts)
+        length = lengths.length[:, None] + self.length_change(amounts)
         draws = [
             numbers(1, "cmm", self.names[a], self.names[b]) for a, b in zip(lengths.first, lengths.second, strict=True)
         ]
         white = np.reshape(draws, growth.shape)
         error = self.certificate_factor * lengths.certificate[:, None] * white
-        return CERTIFIED * np.round((length / growth + error) / CERTIFIED)
+        return CERTIFICATE_STEP * np.round((length / growth + error) / CERTIFICATE_STEP)
 
-    def longer(self, amounts: tuple[Floats, ...]) -> Floats:
-        """(g, B) or (g, 1) [m]: what effects add to the true lengths."""
+    def length_change(self, amounts: tuple[Floats, ...]) -> Floats:
+        """Change of the true lengths by effects, (g, B) or (g, 1) [m]."""
         lengths, total = self.lengths, np.zeros((len(self.lengths.length), 1))
         for law, amount in zip(self.effects, amounts, strict=True):
             design = law.effect.gauge_design(lengths.first, lengths.second, self.sightings.points)

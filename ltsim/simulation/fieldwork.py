@@ -1,4 +1,4 @@
-"""True places, and the pointings in the order of the work: the part of a trial that may be reused."""
+"""True positions, and pointings in the order of measurement: the part of a trial that several trials can share."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -21,21 +21,21 @@ from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import Layout, planned, visibility_of
 
-NOTES = 20
-"""Pairs that do not see each other are named one by one up to this number."""
+MAX_LISTED_PAIRS = 20
+"""Largest number of hidden pairs that are listed one by one."""
 LEVEL_GAP = 0.5
 """Smallest height difference [m] between two levels."""
 
 
 @dataclass(frozen=True)
 class Fieldwork:
-    """A scenario with its true geometry; draws of errors and noise on it are `simulator.measure`."""
+    """Scenario with its true geometry, on which `simulator.measure` draws errors and noise."""
 
     scenario: Scenario
     layout: Layout
-    """True poses and points, of every target, seen or not."""
+    """True poses and points of all targets, including hidden ones."""
     sightings: Sightings
-    """The pointings, at the true geometry, of the targets that are seen; covariates are the air readings."""
+    """Pointings to the visible targets at the true geometry; covariates are the air readings."""
     effects: tuple[Effect, ...]
     notes: tuple[str, ...]
     """Pairs of station and target without a line of sight, each with its reason; for many pairs, counts by reason."""
@@ -47,10 +47,10 @@ class Fieldwork:
 
 
 def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
-    """Place everything, leave out what is not seen, and order the work; `plan` as in `placed`.
+    """True geometry of a scenario with its visible pointings in the order of measurement; `plan` as in `placed`.
 
-    Raises SetupError when a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or an SMR
-    stands off along a normal that is not known.
+    Raises SetupError if a station sees no target, an obstacle's file is damaged, an effect does not exist, or an SMR of
+    another radius is in a nest without a normal.
     """
     layout = placed(scenario, seed, *key, plan=plan)
     table = visibility_of(scenario, layout)
@@ -70,9 +70,9 @@ def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | Non
 
 
 def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Layout:
-    """The layout where it truly stands: as planned, with the scatter of `placing`; the gauge moves as one body.
+    """True layout: the plan with the scatter of `placing`; the gauge moves as one rigid body.
 
-    `plan` is what `planned` gives for the scenario, for who asks many times.
+    `plan` is the result of `planned` for the scenario, to avoid computing it again.
     """
     plan, placing = plan or planned(scenario), scenario.placing
     position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
@@ -96,15 +96,15 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
 
 def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
     lost = table.lost(layout.stations, layout.targets)
-    if len(lost) <= NOTES:
+    if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
     reasons = Counter(reason for line in table.kinds() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {counts}",)
+    return (f"{len(lost)} of {table.visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
 def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:
-    """Pointings in the order of the work, without targets that no station sees."""
+    """Pointings in the order of measurement, without targets that no station sees."""
     pointed = np.flatnonzero(visible.any(axis=0))
     renumbered = np.full(len(layout.targets), -1)
     renumbered[pointed] = np.arange(len(pointed))
@@ -135,7 +135,7 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
 
 
 def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int) -> Ints:
-    """Target, face and repeat of one station's visit in the order of the work, (k, 3)."""
+    """Target, face and repeat of each pointing of one station's visit, (k, 3), in the order of measurement."""
     work = scenario.work
     faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):
@@ -162,7 +162,7 @@ def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: 
 
 
 def _levels(heights: Floats) -> Floats:
-    """Number (T,) of each height's level, the highest first."""
+    """Number (T,) of the height level of each target, the highest level first."""
     down = np.argsort(-heights, kind="stable")
     steps = np.concatenate([[0.0], -np.diff(heights[down]) > LEVEL_GAP])
     levels = np.zeros(len(heights))
@@ -171,7 +171,7 @@ def _levels(heights: Floats) -> Floats:
 
 
 def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """Readings of the instrument's air sensors, by covariate: rounded to 0.1 of their units."""
+    """Readings of the instrument's air sensors by covariate, rounded to 0.1 of their units."""
     room = scenario.workshop
     temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
     return {
@@ -182,7 +182,7 @@ def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
 
 
 def smrs_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
-    """Name of the SMR of each pointing: its station's, else its target's, else that of all; '' for none."""
+    """Name of the SMR of each pointing, from its station, its target or the default; '' for none."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
     places = zip(sightings.station, sightings.target, strict=True)
@@ -190,10 +190,10 @@ def smrs_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
 
 
 def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
-    """Displacement (n, 3) [m] of each SMR's centre from its target; None in a scenario of one SMR.
+    """Offset (n, 3) [m] of each SMR's centre from its target; None in a scenario with one SMR.
 
-    Raises SetupError when a pointing uses an SMR without a table, one of another radius has no normal to lie along, or
-    the reference is not declared.
+    Raises SetupError for an SMR without a table, for one of another radius in a nest without a normal, and for a
+    missing reference radius.
     """
     reflectors = scenario.reflectors
     if not reflectors:

@@ -1,4 +1,4 @@
-"""The gauge: points of a rigid frame from the lengths between them, and what a measuring machine says of it."""
+"""Gauge: points of a rigid frame from the lengths between them, and errors of the measuring machine."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,44 +20,46 @@ TABLE_2 = MappingProxyType(
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
     }
 )
-"""The paper's six lengths [mm] of 25-26, 25-27, 25-28, 26-27, 26-28, 27-28, under both readings of its Table 2."""
+"""Six lengths [mm] of 25-26, 25-27, 25-28, 26-27, 26-28, 27-28 in the paper's Table 2, under both readings of the
+table.
+"""
 REALISED = 1e-7
 
 
 @dataclass(frozen=True)
 class GaugeFrame:
-    """The gauge at the temperature of its calibration."""
+    """Gauge frame at its calibration temperature."""
 
     names: tuple[str, ...]
-    """(k,)."""
+    """Names of its k targets."""
     points: Floats
-    """(k, 3) [m]: in the frame's own axes, origin in the middle."""
+    """Coordinates (k, 3) [m] in the axes of the frame, origin at its centre."""
     first: Ints
     second: Ints
-    """Pairs whose lengths are known, (g,)."""
+    """Indices of the targets at both ends of each reference length, (g,)."""
 
     @property
     def length(self) -> Floats:
-        """(g,) [m]: true lengths."""
+        """True lengths, (g,) [m]."""
         return np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
 
 
 def frame_of(gauge: ScenarioGauge) -> GaugeFrame:
-    """The frame that has the gauge's lengths.
+    """Gauge frame with the lengths of a gauge.
 
-    Raises SetupError when a length is missing, twice there, or no frame in space has these lengths.
+    Raises SetupError if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
     pairs = list(combinations(range(len(names)), 2))
     lengths = np.array(_lengths(gauge, pairs)) * MILLIMETRE
     first, second = np.array(pairs, dtype=np.int64).T
-    frame = GaugeFrame(names, embedded(len(names), first, second, lengths), first, second)
+    frame = GaugeFrame(names, embedded_points(len(names), first, second, lengths), first, second)
     worst = int(np.argmax(np.abs(frame.length - lengths)))
     if abs(frame.length[worst] - lengths[worst]) > REALISED:
         a, b = names[first[worst]], names[second[worst]]
         has, wanted = frame.length[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
-        message = f"the nearest one has {has:.4f} mm between {a} and {b} instead of {wanted:.4f}"
-        raise SetupError(f"gauge: no frame in space has these lengths; {message}")
+        message = f"the nearest frame in space has {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
+        raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
 
@@ -65,14 +67,14 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
-            message = "the paper's gauge has four; state the lengths of another one as [[gauge.distance]]"
-            raise SetupError(f"gauge.targets: holds {len(names)} reflectors, but {message}")
+            message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
+            raise SetupError(f"gauge.targets: has {len(names)} reflectors, but {message}")
         return list(TABLE_2[gauge.reading])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
         if len(key) != 2 or not key <= set(names) or key in certificates:
-            problem = "is there twice" if key in certificates else "is no pair of two of gauge.targets"
+            problem = "has two entries" if key in certificates else "is not a pair of different gauge.targets"
             raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
         certificates[key] = line.length_mm
     for a, b in pairs:
@@ -81,8 +83,8 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     return [certificates[frozenset((names[a], names[b]))] for a, b in pairs]
 
 
-def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
-    """Points (count, 3) [m] with the given distances, or the nearest to them, around their middle.
+def embedded_points(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
+    """Points (count, 3) [m] about their centre whose distances are, or are nearest to, the given ones.
 
     Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): coordinates are eigenvectors of the doubly
     centred squared distances. The axes follow the extents, longest first; signs are fixed by the first point.
@@ -99,34 +101,34 @@ def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
 
 
 def expansion(gauge: ScenarioGauge, workshop_c: float) -> float:
-    """Factor of all lengths between calibration and workshop."""
+    """Growth factor of all lengths from calibration to workshop."""
     measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
     return Expansion.of(gauge.expansion_per_k, measured - gauge.calibrated_at_c).factor
 
 
 def orientation(gauge: ScenarioGauge) -> Floats:
-    """Rotation (3, 3) from the frame's own axes to the workshop."""
+    """Rotation (3, 3) from the axes of the frame to the workshop."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
     return Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def in_workshop(gauge: ScenarioGauge, frame: GaugeFrame, workshop_c: float) -> Floats:
-    """Points (k, 3) [m] of the frame where the scenario puts it, grown to the workshop's temperature."""
+    """Points (k, 3) [m] of the frame at its position in the workshop and at the workshop's temperature."""
     points: Floats = expansion(gauge, workshop_c) * frame.points @ orientation(gauge).T
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
 def length_sigma(cmm: Cmm, length: Floats) -> Floats:
-    """Standard deviation (g,) [m] of lengths (g,) [m] from the measuring machine: its largest error over `coverage`."""
+    """Standard deviation (g,) [m] of lengths (g,) [m]: largest permitted error of the machine over `coverage`."""
     largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
     return largest * MICROMETRE / cmm.coverage
 
 
 def nominal_points(points: Floats, names: tuple[str, ...], cmm: Cmm, seed: int, *key: str | int) -> Floats:
-    """Coordinates (T, 3) [m] of points (T, 3) as the measuring machine gives them.
+    """Coordinates (T, 3) [m] of points (T, 3), with the errors of the measuring machine.
 
-    Its largest error A + L / K means a random part A of each length, half its variance from either end, and a
-    scale error of each axis.
+    Its largest permitted error A + L / K is divided into a random part A of each length, half of its variance at either
+    end, and a scale error of each axis.
     """
     random = cmm.constant_um * MICROMETRE / cmm.coverage / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / cmm.length_divisor_mm / cmm.coverage

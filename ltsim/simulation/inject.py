@@ -1,7 +1,7 @@
 """Injection of an effect into an existing recording: its predicted change is added to the readings.
 
-Noise, outliers and the instrument stay. The change is that of the effect at the adjusted pointings of the recording;
-their error changes it by its share of a range, 1e-4 for 1 mm in 10 m.
+Noise, outliers and instrument errors remain. The change is computed at the adjusted pointings; their error has a
+relative influence of 1e-4 for 1 mm in 10 m.
 """
 
 from collections.abc import Mapping
@@ -22,12 +22,14 @@ from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.effects.verbs import shape_of
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.simulator import certified_by
+from ltsim.simulation.simulator import with_certificates
 
 FORMAT = "ltsim-injection/1"
 CLOSE, ROUNDS = 1e-4, 60
-LARGEST = 30.0
-"""Standard deviations by which a reading may change, per root of what the adjustment leaves of the whole cause."""
+MAX_CHANGE_SIGMAS = 30.0
+"""Largest change of a reading in standard deviations, divided by the square root of the fraction of the effect that
+remains after adjustment.
+"""
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,12 +38,14 @@ class Injected(Result):
 
     cause: Tunable
     words: str
-    """Request of the user for the cause."""
+    """Text of the user's request for the effect."""
     values: Floats
     noncentrality: float
-    """Noncentrality of the cause after adjustment; for noise the expected drop of minus twice the log likelihood."""
+    """Noncentrality of the effect after adjustment; for noise the expected decrease of minus twice
+    the log likelihood.
+    """
     largest: dict[str, float]
-    """Largest change of a distance [um], azimuth and elevation [urad]; of noise its largest deviation."""
+    """Largest change of a distance [um], azimuth and elevation [urad]; for noise the largest standard deviation."""
 
     def _lines(self) -> list[str]:
         sizes = ", ".join(f"{p.name} {value / p.factor:.4g} {p.unit}".rstrip() for p, value in self._parameters())
@@ -63,7 +67,7 @@ class Injected(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of the cause in a truth file."""
+        """Entry of the effect in a truth file."""
         cause = self.cause
         shape = shape_of(cause) if isinstance(cause, Effect) else {}
         return {
@@ -75,7 +79,7 @@ class Injected(Result):
 
 @dataclass(frozen=True, repr=False)
 class InjectionTruth(Result):
-    """True causes and their values injected into a recording."""
+    """Effects that were injected into a recording, with their values."""
 
     seed: int
     causes: tuple[Injected, ...]
@@ -84,7 +88,7 @@ class InjectionTruth(Result):
         return [repr(cause) for cause in self.causes]
 
     def to_json(self) -> dict[str, Any]:
-        """The contents of a truth file."""
+        """Contents of a truth file."""
         return {"format": FORMAT, "seed": self.seed, "injected": [cause.to_json() for cause in self.causes]}
 
 
@@ -99,13 +103,15 @@ CURVE = Table(
     "curve.csv",
     "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
     (
-        *numbers(form=".4g", noncentrality="What the adjustment leaves of the cause."),
+        *numbers(form=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
         *numbers(form=".4g", largest_um="Largest change of a distance, mean of the injections."),
         *numbers(form=".4g", largest_urad="Largest change of an angle, mean of the injections."),
-        *numbers(injections="How many."),
+        *numbers(injections="Number of injections."),
         *numbers(
-            found="Told something that was not told before.", placed="... at its place.", named="... by its name.",
-            right="Name and place right in the first new finding.",
+            found="Number of injections with a new finding.",
+            placed="Those with a new finding at the right place.",
+            named="Those with a new finding of the right name.",
+            right="Those whose first new finding has the right name and place.",
         ),
         *numbers(form=".3f", found_low="", found_high="", placed_low="", placed_high="", named_low="", named_high=""),
     ),
@@ -114,7 +120,7 @@ CURVE = Table(
 
 @dataclass(frozen=True, repr=False)
 class InjectionCurve(Result):
-    """Strength of a cause against the chance of being found, placed and named in one recording."""
+    """Detection curve: strength of an effect, and probability that it is detected, located and named."""
 
     words: str
     background: tuple[str, ...]
@@ -123,7 +129,7 @@ class InjectionCurve(Result):
 
     def _lines(self) -> list[str]:
         reported = ", ".join(self.background) or "nothing"
-        lines = [f"{self.words}, put into the recording; told without it: {reported}"]
+        lines = [f"{self.words}, injected into the recording; findings without the injection: {reported}"]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: found {row['found']}, placed {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
@@ -136,7 +142,7 @@ class InjectionCurve(Result):
 
 @dataclass(frozen=True, eq=False)
 class Injector:
-    """A recording with its adjustment, into which causes are put."""
+    """Recording with its adjustment, for the injection of effects."""
 
     recording: Recording
     space: ResidualSpace
@@ -147,7 +153,7 @@ class Injector:
         return self.space.adjustment.state
 
     def change(self, cause: Tunable, values: Floats) -> Floats:
-        """Change (n, 3) [m, rad, rad] of the readings, NaN where there are none; of noise 0."""
+        """Change (n, 3) [m, rad, rad] of the readings by an effect, NaN for missing readings; 0 for noise."""
         sightings, readings = self.space.sightings, self.recording.readings
         if not isinstance(cause, Mistake):
             return cause.shift(sightings, values)
@@ -159,20 +165,20 @@ class Injector:
         return np.stack([change[:, 0], *wrap(change[:, 1:]).T], axis=1)
 
     def lengths(self, cause: Tunable, values: Floats) -> Floats:
-        """Change (g,) [m] of the known lengths."""
+        """Change (g,) [m] of the reference lengths by an effect."""
         gauge = self.space.adjustment.problem.gauge
         return cause.gauge_design(gauge.first, gauge.second, self.state.points) @ values
 
     def deviation(self, cause: NoiseEffect, values: Floats) -> Floats:
-        """Standard deviation (n, 3) of the noise that is added."""
+        """Standard deviation (n, 3) of the added noise."""
         sigma = self.recording.sigma()
         added = cause.variance(self.space.sightings, sigma, values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
-            raise ModelError(f"{cause.name}: noise can be added to a recording, not taken away; give larger values")
+            raise ModelError(f"{cause.name} would reduce the noise of the recording; give larger values")
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
     def noncentrality(self, cause: Tunable, values: Floats) -> float:
-        """Noncentrality of a cause after the adjustment; 0 where the network absorbs it."""
+        """Noncentrality of an effect after the adjustment; 0 if the network absorbs it."""
         space = self.space
         if isinstance(cause, NoiseEffect):
             used = np.flatnonzero(space.use)
@@ -185,10 +191,10 @@ class Injector:
         return square if square > UNCHECKED * float(whole @ whole) else 0.0
 
     def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
-        """The values times what leaves the wanted noncentrality; raises ModelError where none does."""
+        """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
         if isinstance(cause, Mistake):
-            raise ModelError(f"{cause.name} is made or not: it has no size that could be chosen")
-        factor, bound = 1.0, LARGEST * np.sqrt(wanted)
+            raise ModelError(f"{cause.name} has no size; leave out the noncentrality")
+        factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(wanted)
         for _ in range(ROUNDS):
             noncentrality = self.noncentrality(cause, factor * values)
             if not noncentrality > 0.0 or (
@@ -198,15 +204,17 @@ class Injector:
             if abs(noncentrality / wanted - 1.0) < CLOSE:
                 return factor * values
             factor *= float(np.clip(np.sqrt(wanted / noncentrality), 1e-3, 1e3))
-        raise ModelError(f"the network hides {cause.name} {cause.place}: at no sensible size it leaves {wanted:g}")
+        raise ModelError(
+            f"the network absorbs {cause.name} {cause.place}: no plausible size gives a noncentrality of {wanted:g}"
+        )
 
     def _peak(self, cause: Tunable, values: Floats) -> float:
-        """Largest change of a reading, or deviation of a noise, in standard deviations of the reading."""
+        """Largest change of a reading, or standard deviation of added noise, divided by the sigma of the reading."""
         moved = self.deviation(cause, values) if isinstance(cause, NoiseEffect) else self.change(cause, values)
         return float(np.nanmax(np.abs(moved) / self.space.sigma, initial=0.0))
 
     def put(self, cause: Tunable, values: Floats, words: str, rng: np.random.Generator) -> tuple[Recording, Injected]:
-        """The recording with a cause in it, and what was put in."""
+        """Recording with an injected effect, and the entry of the effect."""
         if isinstance(cause, NoiseEffect):
             change = self.deviation(cause, values) * rng.standard_normal(self.recording.readings.shape)
         else:
@@ -215,14 +223,14 @@ class Injector:
         lengths = self.lengths(cause, values)
         if values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{words}: changes no reading; expected a place that is measured (after the time, where one is given)"
+                f"{words}: changes no reading; give a place that was measured, after the time if there is one"
             )
         if lengths.any():
             gauge = self.space.adjustment.problem.gauge
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
-                raise ModelError(f"{cause.name}: the lengths of scale bars cannot be changed, those of a gauge can")
+                raise ModelError(f"{cause.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = certified_by(made, certified + lengths * certified / gauge.length)
+            made = with_certificates(made, certified + lengths * certified / gauge.length)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(
@@ -231,5 +239,5 @@ class Injector:
         return made, Injected(cause, words, values, self.noncentrality(cause, values), largest_by_observable)
 
     def after(self, recording: Recording) -> Self:
-        """The same for a recording that something was put into already."""
+        """Injector for a recording that already contains an injected effect."""
         return replace(self, recording=recording)

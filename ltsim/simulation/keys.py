@@ -1,4 +1,4 @@
-"""Dotted keys of a scenario: what kind of value each takes and in which unit, and values that carry their unit."""
+"""Dotted keys of a scenario: type and unit of their values, and values given with a unit."""
 
 from typing import Any, Literal
 
@@ -15,13 +15,13 @@ KINDS: tuple[Kind, ...] = ("number", "integer", "boolean", "string")
 
 
 def kind_of(key: str) -> Kind:
-    """The kind of value at a dotted key; `table` for lists and tables, and for what no scenario has."""
+    """Type of the value at a dotted key; `table` for lists and tables, and for unknown keys."""
     kinds = {_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
     return next((kind for kind in KINDS if kind in kinds), "table")
 
 
 def meaning_of(key: str) -> str:
-    """Meaning of a dotted key in the reference; empty for a name that a user gave, such as a parameter's."""
+    """Meaning of a dotted key in the reference; empty for a user-defined name."""
     nodes = (node for node, _ in schemas_at(Scenario, key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
@@ -32,7 +32,7 @@ def _type(node: dict[str, Any]) -> str:
 
 
 def unit_of(scenario: Scenario, key: str) -> str:
-    """The unit of the value at a dotted key: that in its name, or that of the parameter it is called after."""
+    """Unit of the value at a dotted key, from the key or from the parameter that it names."""
     *parents, last = key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
@@ -48,9 +48,9 @@ def unit_of(scenario: Scenario, key: str) -> str:
 
 
 def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
-    """A value as the key takes it: a text such as ``2 urad`` becomes a number in the key's unit.
+    """Value converted for a key: a text such as ``2 urad`` becomes a number in the key's unit.
 
-    Raises SetupError when the text is no quantity of this kind; `where` is named.
+    Raises SetupError, which names `where`, for a text that is no quantity of this kind.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
@@ -62,7 +62,7 @@ def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
 
 
 def value_at(table: dict[str, Any], key: str) -> Any:
-    """The value at a dotted key of a scenario's tables; None where there is none."""
+    """Value at a dotted key in the tables of a scenario; None if there is none."""
     inner: Any = table
     for part in key.split("."):
         if isinstance(inner, list) and part.isdecimal() and 1 <= int(part) <= len(inner):

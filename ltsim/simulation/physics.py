@@ -1,4 +1,4 @@
-"""Errors of the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
+"""Instrument errors and environment of a scenario: construction, effects, and their distributions."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, built_as, misalignment
+from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment
 from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
@@ -16,16 +16,16 @@ from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 
 
 def construction_of(scenario: Scenario) -> Construction:
-    """The construction of the scenario's trackers, which is one for all."""
+    """Construction of the scenario's trackers, which is the same for all."""
     instrument = next(iter(scenario.trackers.values()))
-    return built_as(instrument.construction, instrument.harmonics, instrument.degree)
+    return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> Construction:
-    """The construction whose parameters a plan for the scenario's tracker is to determine.
+    """Construction whose parameters a plan for the scenario's tracker is to determine.
 
-    Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all. Ranges
-    alone tell of those that act on ranges.
+    Of the 78 parameters of a D-H chain only the misalignments are planned for; they represent all. A scenario that
+    records ranges alone has only the parameters that act on ranges.
     """
     built = construction_of(scenario)
     if built.name == "steering-mirror":
@@ -35,9 +35,11 @@ def planned_construction(scenario: Scenario) -> Construction:
 
 
 def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (I, p) [SI] from which each tracker's errors are drawn; those stated have none.
+    """Mean and standard deviation (I, p) [SI] of each tracker's errors.
 
-    Raises SetupError when an error is stated that the construction does not have.
+    The standard deviation is 0 for declared errors.
+
+    Raises SetupError for a declared error that the construction does not have.
     """
     laws = [_law(tracker, construction, name) for name, tracker in scenario.trackers.items()]
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
@@ -56,7 +58,7 @@ def _law(instrument: ScenarioInstrument, construction: Construction, name: str) 
 
 
 def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
-    """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
+    """True standard deviation (n, 3) [m, rad, rad] of the white noise: the specification times the noise factor."""
     trackers = scenario.trackers.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]
@@ -64,31 +66,31 @@ def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
 
 
 def resolution_of(scenario: Scenario) -> Floats:
-    """Steps (I, 3) [m, rad, rad] of each tracker's readings; 0 for none."""
+    """Resolution (I, 3) [m, rad, rad] of each tracker's readings; 0 for none."""
     steps = [tracker.resolution for tracker in scenario.trackers.values()]
     units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
 def quantised(readings: Floats, step: Floats) -> Floats:
-    """Readings (n, 3) rounded to whole steps (3,) or (n, 3) [m, rad, rad]; a step of 0 leaves them."""
+    """Readings (n, 3) rounded to multiples of `step` (3,) or (n, 3) [m, rad, rad]; a step of 0 does not round."""
     step = np.broadcast_to(step, readings.shape)
     return np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
 
 
 def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
-    """The scenario's effects in the order of its file; the reflectors' incidence error, if it is on, is the last.
+    """Effects of the scenario in the order of its file; the incidence error of the reflectors, if enabled, is last.
 
-    Its parameters are those of the table (`reflector_error`).
+    The parameters of the incidence error are those of the table (`reflector_error`).
 
-    Raises SetupError, naming the entry and what would be right.
+    Raises SetupError with the entry and the permitted values.
     """
     effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
     return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
 
 
 def reflector_error(scenario: Scenario) -> Floats:
-    """Parameters (p,) [SI] of the effect `smr-incidence` that are the scenario's table."""
+    """Parameters (p,) [SI] of the effect `smr-incidence` that correspond to the scenario's table."""
     table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).values_of_table
 

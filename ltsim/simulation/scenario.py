@@ -1,4 +1,4 @@
-"""A scenario: everything a simulation needs but the seed, as a file a person can read and edit."""
+"""Scenario: everything a simulation needs except the seed, as a readable and editable file."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
@@ -37,61 +37,62 @@ from ltsim.simulation.sections import (
 
 FORMAT = "ltsim-scenario/1"
 AIR = "air_temperature_c"
-"""The one column of temperatures that a simulated recording has."""
-LEAST = 3
-"""Targets, those of the gauge among them."""
-MOST_LISTED = 12
+"""Name of the temperature column of a simulated recording."""
+MIN_TARGETS = 3
+"""Smallest number of targets, including those of the gauge."""
+MAX_LISTED = 12
 SPELLED_OUT = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge",
 )  # fmt: skip
-"""Keys that a scenario's file holds with all their defaults."""
-NONE = "none"
+"""Keys whose defaults are always written to a scenario's file."""
+REMOVED = "none"
 """Value that removes a key of the scenario: ``gauge = "none"``."""
 
 
 class Scenario(TomlSection, Result):
-    """The whole file."""
+    """Contents of a scenario file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
     """Format and version of this file."""
     title: str = ""
     """Free text."""
     base: str | None = None
-    """A built-in scenario whose tables hold below those of this file; "none" in place of a table takes it out."""
+    """Built-in scenario whose tables are defaults for those of this file; the value "none" removes a table."""
     workshop: Workshop = Workshop()
     """Room, air and obstacles."""
     placing: Placing = Placing()
     """Standard deviations of the true places about the plan."""
     instrument: ScenarioInstrument = ScenarioInstrument()
-    """The tracker of every station that names no other."""
+    """Tracker of every station that names no other one."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
     """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
     smr: Smr = Smr()
     """The reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with a separate radius, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
-    the nest's normal, and true radii are drawn with the places."""
+    """SMRs with individual radii, tables `[reflectors.NAME]`, one per target or station; the offset is along the nest's
+    normal, and true radii are drawn with the positions.
+    """
     reference_radius_mm: NonNegative | None = None
-    """Planned places are centres of an SMR of this radius, 0 for the seats; as in `setup.toml`, which takes it over."""
+    """Radius of the SMR whose centre defines the planned positions, 0 for nest seats; it is copied to `setup.toml`."""
     cmm: Cmm = Cmm()
-    """The coordinate measuring machine that calibrated the gauge."""
+    """Coordinate measuring machine that calibrated the gauge."""
     work: Work = Work()
-    """Order and clock of the measurements."""
+    """Order and timing of the measurements."""
     gauge: ScenarioGauge | None = None
-    """A frame of known lengths."""
+    """Frame of reference lengths."""
     materials: dict[str, Material] = Field(default_factory=dict)
-    """Materials of known lengths, tables `[materials.NAME]`; the true coefficient is drawn."""
+    """Materials of reference lengths, tables `[materials.NAME]`; their true coefficients are drawn."""
     lengths: tuple[Length, ...] = ()
-    """Known lengths between reflectors of the mesh, tables `[[lengths]]`."""
+    """Reference lengths between reflectors of the mesh, tables `[[lengths]]`."""
     stations: dict[str, PlannedStation]
-    """Set-ups, tables `[stations.NAME]`, in the order of the work."""
+    """Set-ups in the order of measurement, tables `[stations.NAME]`."""
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
     air: Air | None = None
-    """Uncertainty of the air that the recording declares, a table `[air]`; it changes no reading."""
+    """Uncertainty of the air that the recording declares, a table `[air]`; it does not change readings."""
     effects: tuple[EffectEntry, ...] = ()
-    """Physics beyond the instrument's errors, tables `[[effects]]`."""
+    """Effects in addition to the instrument's errors, tables `[[effects]]`."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -100,12 +101,12 @@ class Scenario(TomlSection, Result):
 
     @property
     def trackers(self) -> dict[str, ScenarioInstrument]:
-        """The instruments in use by name, in the order of `Recording.instruments`; one without a name is ''."""
+        """Instruments in use by name, in the order of `Recording.instruments`; '' for one without a name."""
         names = sorted({station.instrument or "" for station in self.stations.values()})
         return {name: self.instruments[name] if name else self.instrument for name in names}
 
     def stations_of(self, tracker: str) -> tuple[str, ...]:
-        """The stations where the tracker of this name stands."""
+        """Stations of the tracker of this name."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
     def _lines(self) -> list[str]:
@@ -120,7 +121,7 @@ class Scenario(TomlSection, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """A built-in scenario by its name, or that of a file or of a plan's folder; raises SetupError."""
+    """Built-in scenario by its name, or scenario of a file or of a plan's folder; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
     if (path / "plan.json").is_file():
         path = path / "scenario.toml"
@@ -132,19 +133,19 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
-    """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
+    """Validated scenario from its tables; `file` is named in errors, and its folder contains CAD files."""
     with as_setup_error():
         whole = with_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
         scenario = checked(whole, Scenario, "scenario", file)
     _check(scenario, file)
-    return _resolve_paths(_in_use(scenario, file), file)
+    return _resolve_paths(_with_exclusions(scenario, file), file)
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
-    """A scenario with some values changed, by dotted key, and checked again; `file` and `where` are named in errors.
+    """Scenario with some values changed by dotted key, validated again; `file` and `where` are named in errors.
 
-    A tracker's `preset` brings its noise and prior with it, and its limits or the question for them. Raises SetupError
-    when a key or value is one that no scenario can have.
+    The `preset` of a tracker also sets its noise, its prior and its limits (or asks for them). Raises SetupError for an
+    invalid key or value.
     """
     # Checked twice: as tables with the changes, and as what a file of it would say.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -152,13 +153,13 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
-    for key, value in [*((key, NONE) for key in brought), *changes.items()]:
+    for key, value in [*((key, REMOVED) for key in brought), *changes.items()]:
         _set(table, key, _as_table(value, effects=key == "effects"), where or str(file))
     return scenario_from(table, file)
 
 
 def _as_table(value: Any, *, effects: bool) -> Any:
-    """A new value as a file has it: effects (`lt.Effect`, or their names), alone or in a list, as their tables."""
+    """New value in the form of a file: effects (`lt.Effect` or names, alone or in a list) as their tables."""
     if isinstance(value, Effect | Sized) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
@@ -171,7 +172,10 @@ def _as_table(value: Any, *, effects: bool) -> Any:
 
 
 def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
-    """Set one dotted key of nested tables, entries of lists by number from 1; the value `NONE` removes it."""
+    """Assignment to one dotted key of nested tables.
+
+    Entries of lists are numbered from 1, and the value `REMOVED` removes the key.
+    """
     *parents, last = key.split(".")
     inner: Any = table
     for name in parents:
@@ -180,25 +184,25 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         else:
             inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
         if not isinstance(inner, (dict, list)):
-            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
+            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is not a table of the scenario")
     if not isinstance(inner, dict):
-        raise SetupError(f"{where}: {shown(key)} is no key of a table; entries of a list are numbered from 1")
-    if value == NONE:
+        raise SetupError(f"{where}: {shown(key)} is not a key of a table; entries of a list are numbered from 1")
+    if value == REMOVED:
         inner.pop(last, None)
     else:
         inner[last] = value
 
 
 def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The tables above those of the scenario that they name as their base."""
+    """Tables of a scenario, with those of its base as defaults."""
     if data.get("base") is None:
         return data
     below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
-    return {key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != NONE}
+    return {key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != REMOVED}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
-    """An instrument with its preset below what the file says of it."""
+    """Tables of an instrument, with its preset as defaults."""
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
@@ -209,24 +213,24 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     return merge_defaults(instrument, below)
 
 
-def _in_use(scenario: Scenario, file: Path) -> Scenario:
-    """The scenario without the stations and reflectors that ``work.stations`` and ``work.targets`` leave out.
+def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
+    """Scenario without the stations and reflectors that ``work.stations`` and ``work.targets`` exclude.
 
-    Effects lose the places that are left out, trackers that then stand nowhere go too. Raises SetupError when more is
-    asked for than there is, or fewer than three targets are left.
+    Excluded places are removed from effects, and trackers without a station are removed. Raises SetupError if more are
+    requested than exist, or if fewer than three targets remain.
     """
     work = scenario.work
     for key in ("stations", "targets"):
         wanted, there = getattr(work, key), len(getattr(scenario, key))
         if wanted is not None and wanted > there:
             raise SetupError(
-                f"{file}: work.{key} is {wanted}, but the scenario holds {there}: add some, or ask for fewer"
+                f"{file}: work.{key} is {wanted}, but the scenario has {there}; add some, or ask for fewer"
             )
     stations = dict(list(scenario.stations.items())[: work.stations])
-    targets = scenario.targets if work.targets is None else _spread(scenario.targets, work.targets)
+    targets = scenario.targets if work.targets is None else _spread_targets(scenario.targets, work.targets)
     gauge = scenario.gauge.targets if scenario.gauge else ()
-    if len(targets) + len(gauge) < LEAST:
-        least = LEAST - len(gauge)
+    if len(targets) + len(gauge) < MIN_TARGETS:
+        least = MIN_TARGETS - len(gauge)
         raise SetupError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
@@ -252,15 +256,15 @@ def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[st
             yield entry.model_copy(update=here)
 
 
-def _spread(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
-    """Subset of `count` targets in the file's order, each farthest from those before it (Gonzalez 1985)."""
+def _spread_targets(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
+    """Selection of `count` targets in file order, each as far as possible from the previous ones (Gonzalez 1985)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
     taken = set(spread_order(places)[:count])
     return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}
 
 
 def spread_order(places: Floats) -> list[int]:
-    """Places (n, 3) in the order in which they fill the room, the one farthest from their middle first."""
+    """Order of places (n, 3) in which they fill the room evenly, beginning with the one farthest from their centre."""
     order: list[int] = []
     gap = np.linalg.norm(places - places.mean(axis=0), axis=1) if len(places) else np.zeros(0)
     for _ in range(len(places)):
@@ -272,7 +276,7 @@ def spread_order(places: Floats) -> list[int]:
 
 
 def _resolve_paths(scenario: Scenario, file: Path) -> Scenario:
-    """CAD files are named from the folder of the scenario, or lie in it."""
+    """Scenario whose CAD files are relative to its folder."""
     obstacles = tuple(
         o if o.file is None else o.model_copy(update={"file": str(_local_path(o.file, file.parent))})
         for o in scenario.workshop.obstacles
@@ -298,10 +302,10 @@ def _check(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {problem}")
 
 
-def _unlisted(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
-    """A sentence where a name is not among those that are known; `none` stands for an empty list."""
+def _unknown_name(key: str, name: str, existing: Collection[str], none: str = "") -> Iterator[str]:
+    """Sentence for a name that is not in a list; `none` is the text for an empty list."""
     if name not in existing:
-        listed = ", ".join([*existing][:MOST_LISTED]) + (" ..." if len(existing) > MOST_LISTED else "")
+        listed = ", ".join([*existing][:MAX_LISTED]) + (" ..." if len(existing) > MAX_LISTED else "")
         yield f"{key} names '{shown(name)}', which is not one of {listed or none}"
 
 
@@ -309,8 +313,8 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
-    if len(names) < LEAST:
-        yield f"targets holds {len(names)} reflectors with the gauge's, expected at least {LEAST}"
+    if len(names) < MIN_TARGETS:
+        yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
     for name in names:
         if names.count(name) > 1:
             yield f"gauge.targets names '{shown(name)}' twice, or it is a target of the mesh too"
@@ -321,23 +325,23 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
 
 
 def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
-    """Stations of known trackers, trackers that stand somewhere, and one construction for all."""
+    """Sentences on stations with unknown trackers, trackers without stations, and different constructions."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:
             yield f"stations.{station}.instrument names '{shown(name)}', which is not declared"
-        yield from _unlisted(f"stations.{station}.instrument", name, scenario.instruments)
+        yield from _unknown_name(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
-            yield f"instruments.{shown(name)} stands nowhere; name it as the instrument of a station"
+            yield f"instruments.{shown(name)} is used at no station; name it as the instrument of a station"
     if "" not in scenario.trackers and scenario.instrument != ScenarioInstrument():
-        yield "instrument is stated but stands nowhere: every station names an instrument of its own"
+        yield "instrument is used at no station: every station names another instrument"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
     (first, first_design), *others = designs.items()
     for name, other in others:
         if other != first_design:
             designs_named = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
-            yield f"instruments hold different constructions ({designs_named}); one recording has one, with one order"
+            yield f"instruments have different constructions ({designs_named}); one recording has one, with one order"
 
 
 def _wrong_places(scenario: Scenario) -> Iterator[str]:
@@ -352,19 +356,19 @@ def _wrong_places(scenario: Scenario) -> Iterator[str]:
             yield f"{key}.position_mm is {list(place)}, {where}"
     for name, target in scenario.targets.items():
         if target.nest_normal is not None and not any(target.nest_normal):
-            yield f"targets.{name}.nest_normal is a vector without length"
+            yield f"targets.{name}.nest_normal has length 0"
 
 
 def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
-    """Lengths between two reflectors, of stated materials, as warm as a number or the air."""
+    """Sentences on invalid reference lengths: wrong ends, undeclared material, or invalid temperature."""
     for i, length in enumerate(scenario.lengths, 1):
         for key, name in (("from", length.from_), ("to", length.to)):
-            yield from _unlisted(f"lengths.{i}.{key}", name, scenario.targets)
+            yield from _unknown_name(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
             yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
         if length.material is not None:
-            none_hint = "none, and a table [materials.NAME] states one"
-            yield from _unlisted(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
+            none_hint = "none, and a table [materials.NAME] defines one"
+            yield from _unknown_name(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
             yield f"lengths.{i}.measured_at_c is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
 
@@ -372,18 +376,18 @@ def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
 def _wrong_effects(scenario: Scenario) -> Iterator[str]:
     for i, entry in enumerate(scenario.effects, 1):
         for name in entry.stations:
-            yield from _unlisted(f"effects.{i}.stations", name, scenario.stations)
+            yield from _unknown_name(f"effects.{i}.stations", name, scenario.stations)
         for name in entry.targets:
-            yield from _unlisted(f"effects.{i}.targets", name, scenario.target_names)
+            yield from _unknown_name(f"effects.{i}.targets", name, scenario.target_names)
 
 
 def table_name(name: str) -> str:
-    """The table of a scenario that holds the tracker of this name; '' for the one without."""
+    """Name of the scenario table of the tracker with this name; '' for the unnamed one."""
     return f"instruments.{name}" if name else "instrument"
 
 
 def scenario_to_toml(scenario: Scenario) -> str:
-    """The text of a file that `load_scenario` turns into the same scenario, every setting spelled out."""
+    """Text of a file that `load_scenario` reads as the same scenario, with all settings written out."""
     whole = scenario.model_dump(by_alias=True, exclude_none=True)
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
     table: dict[str, Any] = {name: whole[name] for name in SPELLED_OUT if name in whole}

@@ -11,7 +11,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.physics.effects.verbs import Sized, effect_from, shape_of
 from ltsim.recordings.setup import (
-    LEAST_SIGMA,
+    MIN_SIGMA,
     Finite,
     LengthUse,
     Limits,
@@ -25,14 +25,15 @@ from ltsim.recordings.setup import (
 from ltsim.recordings.specification import sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-LengthSigma = Annotated[float, Field(ge=1e3 * LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
-"""[um] Standard deviation of a length, no smaller than that of a set-up."""
+LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
+"""Standard deviation [um] of a length, with the lower bound of a set-up's."""
 Fraction = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
-"""Errors drawn from it give about the figures of the paper's Table 3 before calibration: means of 48 and 24 um in
-experiment 01, of 46 and 29 in the paper."""
+"""Prior of the paper's instrument. Errors drawn from it reproduce approximately the values of the paper's Table 3
+before calibration: means of 48 and 24 um in experiment 01, of 46 and 29 um in the paper.
+"""
 
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
@@ -47,7 +48,7 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         },
     }
 )
-"""Instruments by name, as changes to the defaults below.
+"""Instruments by name, as changes of the defaults below.
 
 `paper`: half of the specified 3.5 um/m across the beam, an ADM better than 15 um, the resolutions of section
 2.1.1; `modern`: a current tracker, half of its maker's limits, with the ranges of the rated conditions of a FARO
@@ -68,21 +69,25 @@ class Obstacle(TomlSection):
     name: str = ""
     """Name in messages and pictures."""
     file: str | None = None
-    """STL, OBJ, PLY, GLB, glTF, STEP or IGES file, named from the scenario's folder."""
+    """STL, OBJ, PLY, GLB, glTF, STEP or IGES file, relative to the scenario's folder."""
     unit: Literal["mm", "m", "in"] | None = None
-    """Unit of the file's coordinates; without it metres for glTF, their own for STEP and IGES, else millimetres."""
+    """Unit of the file's coordinates; default metres for glTF, the declared unit for STEP and IGES,
+    else millimetres.
+    """
     up: Literal["y", "z"] | None = None
-    """Axis of the file that points up; without it y for glTF, else z."""
+    """Vertical axis of the file; default y for glTF, else z."""
     beyond_room: bool = False
-    """Flag: it may reach beyond the room or below its floor; otherwise that is an error for a CAD file."""
+    """True if the obstacle may extend beyond the room or below its floor, which otherwise is an
+    error for a CAD file.
+    """
     box_mm: tuple[Positive, Positive, Positive] | None = None
-    """Width, depth and height of a box, in place of a file."""
+    """Width, depth and height of a box that replaces a file."""
     cylinder_mm: tuple[Positive, Positive] | None = None
-    """Diameter and height of an upright cylinder, in place of a file."""
+    """Diameter and height of an upright cylinder that replaces a file."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Position of the file's origin; of a box or a cylinder, that of the middle of its base."""
+    """Position of the file's origin; for a box or cylinder, of the centre of its base."""
     yaw_deg: Angle = 0.0
-    """Turn about the vertical."""
+    """Rotation about the vertical."""
 
     @model_validator(mode="after")
     def _single_shape(self) -> Self:
@@ -92,10 +97,10 @@ class Obstacle(TomlSection):
 
 
 class Workshop(TomlSection):
-    """The room and its air; the air is the same everywhere, its temperature may rise."""
+    """Room and its air, which is the same everywhere; its temperature may rise."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
-    """Width, depth and height; the corner is the origin, z is up."""
+    """Width, depth and height of the room; a corner is the origin, z is up."""
     temperature_c: Celsius = 20.0
     """Temperature of the air at the start."""
     temperature_rise_c_per_h: Finite = 0.0
@@ -105,14 +110,15 @@ class Workshop(TomlSection):
     humidity_pct: Fraction = 50.0
     """Relative humidity of the air."""
     shadow_cone_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
-    """Opening of the cone under each station where nothing may stand; without it, the cone that the elevation limit
-    hides."""
+    """Full angle of the shadow cone under each station, which contains no target; default the cone below the elevation
+    limit.
+    """
     obstacles: tuple[Obstacle, ...] = ()
     """Obstacles in the workshop, tables `[[workshop.obstacles]]`."""
 
 
 class Placing(TomlSection):
-    """Standard deviations of the true places about the plan, and steps to which the recording rounds the plan."""
+    """Standard deviations of the true positions about the plan, and steps to which the recording rounds the plan."""
 
     station_mm: NonNegative = 15.0
     """Standard deviation of each coordinate of a station."""
@@ -131,7 +137,7 @@ class Placing(TomlSection):
 
 
 class Resolution(TomlSection):
-    """Smallest steps of the readings; 0 for none, by default the paper's (section 2.1.1)."""
+    """Resolution of the readings; 0 for none, default that of the paper (section 2.1.1)."""
 
     distance_um: NonNegative = 0.1
     """Smallest step of a range."""
@@ -140,7 +146,7 @@ class Resolution(TomlSection):
 
 
 class PointingLimits(Limits):
-    """Travel of the elevation axis and the ranges that can be measured."""
+    """Limits of elevation and range."""
 
     range_min_mm: NonNegative = 500.0
     """Shortest range that can be measured."""
@@ -155,26 +161,28 @@ class PointingLimits(Limits):
 
 
 class ScenarioInstrument(TomlSection):
-    """The tracker: construction, its maker's specifications, and its true errors."""
+    """Tracker: construction, specification and true errors."""
 
     preset: Annotated[str, AfterValidator(_existing_preset)] = "paper"
-    """Source of all values that are not given: `paper`, `modern`, `after-transport`, or a built-in data sheet."""
+    """Source of all values that are not given: `paper`, `modern`, `after-transport`, or the name of a built-in data
+    sheet.
+    """
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
-    """Kinematic chain that makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
+    """Kinematic chain that generates the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of its polynomials in the range."""
+    """Degree of the polynomials in the range of the `dh` chain."""
     corrected: bool = False
-    """Flag of the recording: the instrument's own corrections are in the readings."""
+    """True if the readings already contain the instrument's own corrections."""
     noise: Noise = Noise()
-    """Standard deviations of the readings that the maker specifies and the recording repeats."""
+    """Standard deviations of the readings in the specification, which the recording declares."""
     noise_factor: NonNegative = 1.0
     """Ratio of the true noise to the specified one."""
     resolution: Resolution = Resolution()
     """Smallest steps of the readings."""
     prior: Prior = PAPER_PRIOR
-    """Prior standard deviations of the instrument's errors, guaranteed by the maker; errors are drawn from them."""
+    """Prior standard deviations of the instrument's errors from the specification; errors are drawn from them."""
     limits: PointingLimits = PointingLimits()
     """Limits of elevation and range within which the tracker can point."""
     observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
@@ -182,38 +190,38 @@ class ScenarioInstrument(TomlSection):
         "azimuth",
         "elevation",
     )
-    """Observables recorded for each pointing: `["distance"]` alone is multilateration."""
+    """Observables of each pointing; `["distance"]` alone is multilateration."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
-    """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the others."""
+    """True errors by parameter name, in units of display (`ltsim effects`); with `draw = true` all others are drawn."""
     error_factor: NonNegative = 1.0
     """Ratio of the drawn errors' standard deviations to the prior's."""
     prior_factor: Positive = 1.0
-    """Ratio of the prior that the recording declares to the prior: not 1 for a maker's figures that are wrong."""
+    """Ratio of the declared prior to the true one; a value other than 1 simulates a wrong specification."""
 
     @model_validator(mode="after")
     def _draw_is_a_switch(self) -> Self:
         for name, value in self.errors.items():
             if isinstance(value, bool) != (name == "draw"):
-                raise ValueError("it should hold numbers, and true or false for draw only")
+                raise ValueError("it should have numbers, and true or false only for draw")
         return self
 
     @property
     def draws(self) -> bool:
-        """Errors that are not given are drawn."""
+        """True if errors that are not given are drawn."""
         return self.errors.get("draw") is True
 
 
 class Smr(TomlSection):
-    """The reflectors: how their nests are used, and their error against incidence."""
+    """Reflectors: use of their nests, and range error over incidence."""
 
     nests: Literal["re-aimed", "fixed"] = "re-aimed"
-    """Orientation of the nests: turned toward each station before it points, or fixed."""
+    """Orientation of the nests: re-aimed at each station before its pointings, or fixed."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
-    """Largest angle of incidence that returns the beam."""
+    """Largest incidence angle at which the beam is returned."""
     reflector: str | None = None
-    """Name of the SMR, where station and target name no other."""
+    """Name of the SMR, if neither station nor target names one."""
     incidence_error: bool = False
-    """Flag: the reflectors have the incidence error of `table_um`."""
+    """True for reflectors with the incidence error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
         round(x / MICROMETRE, 6) for x in PAPER_TABLE
     )
@@ -223,151 +231,151 @@ class Smr(TomlSection):
 
 
 class Cmm(TomlSection):
-    """The coordinate measuring machine: largest error constant_um + L / length_divisor_mm [um]."""
+    """Coordinate measuring machine with the largest permitted error constant_um + L / length_divisor_mm [um]."""
 
     constant_um: NonNegative = 2.3
     """Constant part of the largest permitted error."""
     length_divisor_mm: Positive = 300.0
-    """The length L adds L / length_divisor_mm micrometres."""
+    """Divisor of the length L in the largest permitted error."""
     coverage: Positive = 2.0
-    """Largest permitted error over standard deviation."""
+    """Ratio of the largest permitted error to the standard deviation."""
     noise_factor: NonNegative = 1.0
     """Ratio of the true error to the specified one."""
     nominal: bool = False
-    """Flag: it measured the targets too, and `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
+    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
 
 
 class Work(TomlSection):
-    """Numbers of stations and reflectors that are used of those below, order and clock of the measurements."""
+    """Numbers of stations and reflectors in use, and order and timing of the measurements."""
 
     stations: Annotated[int, Field(ge=1)] | None = None
-    """Number of stations that are set up, the first of the file; all where it is not given."""
+    """Number of stations, the first ones of the file; default all."""
     targets: Annotated[int, Field(ge=0)] | None = None
-    """Number of reflectors that are measured in addition to the gauge's, spread as widely as they can be; those of a
-    smaller number are among those of every larger one; all where it is not given."""
+    """Number of measured reflectors in addition to the gauge's, distributed as widely as possible; a smaller selection
+    is part of every larger one. Default all.
+    """
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
-    """Order in which each station points at the reflectors; levels go from the highest to the lowest."""
+    """Order of the reflectors at each station; levels go from the highest to the lowest."""
     faces: Literal[1, 2] = 1
     """Number of faces in which each target is measured."""
     face_order: Literal["per-target", "per-station"] = "per-target"
-    """Order of the faces: both target by target, or all targets in one face and then in the other."""
+    """Order of the faces: both faces target by target, or all targets in one face and then in the other."""
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
     """Number of rounds."""
     seconds_per_pointing: Positive = 15.0
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative = 20.0
-    """Time to carry the instrument to the next station."""
+    """Time to move the instrument to the next station."""
 
 
 class GaugeLength(TomlSection):
-    """A length of the gauge as it is, at the temperature of its calibration."""
+    """True length of the gauge at its calibration temperature."""
 
     from_: str = Field(alias="from")
-    """Target at one end."""
+    """Target at the first end."""
     to: str
-    """Target at the other end."""
+    """Target at the second end."""
     length_mm: Positive
     """Length between the two targets."""
 
 
 class ScenarioGauge(TomlSection):
-    """A rigid frame with reflectors: lengths at `calibrated_at_c`, and where it stands.
+    """Rigid frame with reflectors: its lengths at `calibrated_at_c`, and its pose.
 
-    Without `distance` it is the paper's, Table 2 read by columns or by rows. The frame's own axes follow its
-    two longest extents; it is turned by roll, pitch and yaw about x, y and z in this order.
+    Without `distance` it is the frame of the paper, with Table 2 read by columns or by rows. The axes of the frame are
+    along its two longest extents; it is rotated by roll, pitch and yaw about x, y and z in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
     """Names of its reflectors."""
     reading: Literal["columns", "rows"] = "columns"
-    """Reading direction of the paper's Table 2, which lost its alignment in print."""
+    """Reading direction of the paper's Table 2, whose alignment was lost in print."""
     distance: tuple[GaugeLength, ...] = ()
-    """Lengths of another gauge, tables `[[gauge.distance]]`: all that fix its shape."""
+    """Lengths of another gauge, tables `[[gauge.distance]]`; together they must determine its shape."""
     position_mm: Vector
-    """Position of its middle."""
+    """Position of its centre."""
     yaw_deg: Angle = 0.0
-    """Turn about z."""
+    """Rotation about z."""
     pitch_deg: Angle = 0.0
-    """Turn about y."""
+    """Rotation about y."""
     roll_deg: Angle = 0.0
-    """Turn about x."""
+    """Rotation about x."""
     nest_normal: Vector | None = None
-    """Direction in which its fixed nests face."""
+    """Normal of its fixed nests."""
     calibrated_at_c: Celsius = 20.0
     """Temperature of its calibration."""
     measured_at_c: Celsius | None = None
-    """Temperature that the recording declares; the air's where it is not given."""
+    """Temperature that the recording declares; default that of the air."""
     expansion_per_k: Finite = 23.2e-6
     """Coefficient of thermal expansion that the recording declares."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the coefficient: the true one is drawn."""
+    """Standard deviation of the coefficient, from which the true one is drawn."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the declared temperature: the true one is drawn."""
+    """Standard deviation of the declared temperature, from which the true one is drawn."""
     sigma_um: LengthSigma | None = None
-    """Standard deviation of each length; by the measuring machine's where it is not given."""
+    """Standard deviation of each length; default that of the measuring machine."""
 
 
 class Length(LengthUse):
-    """A known length between two reflectors of the mesh: a scale bar, or one that an interferometer measured."""
+    """Reference length between two reflectors of the mesh: a scale bar, or a length measured by an interferometer."""
 
     from_: str = Field(alias="from")
-    """Reflector at one end."""
+    """Reflector at the first end."""
     to: str
-    """Reflector at the other end."""
+    """Reflector at the second end."""
     sigma_um: LengthSigma
     """Standard deviation of the declared length."""
 
 
 class PlannedStation(TomlSection):
-    """Planned set-up of an instrument: centre and orientation of its head."""
+    """Planned set-up of an instrument: position and orientation of its head."""
 
     position_mm: Vector
-    """Planned place of the head."""
+    """Planned position of the head."""
     yaw_deg: Angle
     """Planned direction of azimuth zero, counter-clockwise from the x axis."""
     roll_deg: Angle = 0.0
-    """Planned turn about x."""
+    """Planned rotation about x."""
     pitch_deg: Angle = 0.0
-    """Planned turn about y."""
+    """Planned rotation about y."""
     levelled: bool = False
-    """Flag: a level aligns the standing axis with the vertical."""
+    """True for a standing axis that is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
     """Standard deviation of the level."""
     instrument: str | None = None
-    """Name of the tracker that stands here, a table `[instruments.NAME]`; that of `[instrument]` where it is not
-    given."""
+    """Name of the tracker at this station, a table `[instruments.NAME]`; default `[instrument]`."""
     reflector: str | None = None
-    """Name of the SMR that is carried to all targets from here; where it is not given, each target's own."""
+    """Name of the SMR that is carried to all targets from here; default the SMR of each target."""
 
 
 class PlannedTarget(TomlSection):
-    """Reflector position. Without `nest_normal` a fixed nest points to the centre of the stations."""
+    """Planned target."""
 
     position_mm: Vector
-    """Planned place."""
+    """Planned position."""
     nest_normal: Vector | None = None
-    """Direction in which its fixed nest faces."""
+    """Normal of its fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
-    """Flag: turned toward each station; as declared by `smr.nests` where it is not given."""
+    """True for a reflector that is turned towards each station; default by `smr.nests`."""
     reflector: str | None = None
     """Name of the SMR."""
 
 
 class PlacedEffect(TomlSection):
-    """An effect of the catalogue: its place and constants."""
+    """Effect of the catalogue with its places and constants."""
 
     name: str
     """Name of the effect, as listed by `ltsim effects`."""
     stations: tuple[str, ...] = ()
-    """Stations where it acts; empty for all."""
+    """Stations at which it acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Targets where it acts; empty for all."""
+    """Targets at which it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name, in display units where the effect declares one and in SI otherwise."""
+    """Constants by name, in units of display if the effect declares one, otherwise in SI."""
 
     def effect(self, where: str) -> Effect:
-        """The effect itself; raises SetupError, naming `where` it is asked for and what would be right."""
+        """Effect object of the entry; raises SetupError that names `where` and the permitted values."""
         try:
             return effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
@@ -375,16 +383,16 @@ class PlacedEffect(TomlSection):
 
 
 class EffectEntry(PlacedEffect):
-    """Physics beyond the instrument's errors: an effect of the catalogue, its place, constants and values."""
+    """Effect in addition to the instrument's errors: name, places, constants and values."""
 
     draw: bool = False
-    """Draw what `values` does not give, at its plausible size; 0 otherwise."""
+    """True if values that are not given are drawn at their plausible size; otherwise they are 0."""
     values: dict[str, Finite] = Field(default_factory=dict)
-    """Parameters by name, in display units."""
+    """Values of the parameters by name, in units of display."""
 
     @classmethod
     def of(cls, given: Effect | Sized) -> Self:
-        """An effect with its places and constants, and the sizes of its parameters; drawn where none is given."""
+        """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
         effect, sizes = (given.effect, dict(given.sizes)) if isinstance(given, Sized) else (given, {})
         places = {"stations": effect.stations, "targets": effect.targets}
         return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=shape_of(effect))

@@ -24,7 +24,7 @@ from ltsim.recordings.setup import (
     Target,
     Vector,
 )
-from ltsim.simulation.draws import Normal, TrialDraws, effect_laws
+from ltsim.simulation.draws import NormalSource, TrialDraws, effect_distributions
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork, smrs_of
 from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, nominal_noise, quantised, resolution_of
@@ -33,40 +33,40 @@ from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
 
 Geometry = Literal["shared", "per-trial"]
-"""All trials share one placing of stations and targets, or each has its own."""
+"""Sharing of geometry: one placing of stations and targets for all trials, or a separate one for each."""
 
 
 def simulate(scenario: Scenario, seed: int, trial: int = 0, geometry: Geometry = "shared") -> tuple[Recording, Truth]:
-    """Measure a scenario once: a trial of those that a campaign with this seed draws.
+    """Recording and truth of one trial of a scenario, equal to that trial of a campaign with this seed.
 
-    Raises SetupError when the scenario asks for something impossible.
+    Raises SetupError for an impossible scenario.
     """
     return measure(fieldwork(scenario, seed, *place_key(trial, geometry)), seed, trial)
 
 
 def place_key(trial: int, geometry: Geometry) -> tuple[str | int, ...]:
-    """Key of the draws of places: all trials share those of the first, or each has its own."""
+    """Key of the draws of positions: common to all trials, or separate for each."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
 def measure(
     work: Fieldwork, seed: int, trial: int = 0, *, values: Floats | None = None, stream_key: str = ""
 ) -> tuple[Recording, Truth]:
-    """Draw the instrument's errors, the gauge's calibration and the noise of a trial on a fixed geometry.
+    """Recording and truth of a trial on a fixed geometry; instrument errors, gauge calibration and noise are drawn.
 
-    `values` (I, p) [SI] are those of instruments that are given, `apart` as of `TrialDraws.draw`.
+    `values` (I, p) [SI] replaces the drawn instrument errors; `stream_key` as in `TrialDraws.draw`.
     """
     blank = error_free(work)
     given = None if values is None else values[:, :, None]
-    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])), given, stream_key=stream_key)
+    drawn = population_of(work, blank).draw(NormalSource(seed, np.array([trial])), given, stream_key=stream_key)
     values, amounts = drawn.values[:, :, 0], tuple(amount[:, 0] for amount in drawn.amounts)
     readings = simulate_readings(work, values, amounts, drawn.noise[:, :, 0])
-    recording = certified_by(blank.with_readings(readings), drawn.certified[:, 0])
+    recording = with_certificates(blank.with_readings(readings), drawn.certified[:, 0])
     return recording, _truth(work, values, amounts, seed, trial)
 
 
 def error_free(work: Fieldwork) -> Recording:
-    """The recording of an ideal tracker and of exact certificates, with all that is stated."""
+    """Recording of an ideal tracker with exact certificates, and with all declarations."""
     s, scenario = work.sightings, work.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare = Recording(
@@ -87,7 +87,7 @@ def error_free(work: Fieldwork) -> Recording:
 
 
 def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
-    """The trials that a fieldwork can have; `blank` is its error-free recording."""
+    """Distributions of the trials on a geometry; `blank` is its error-free recording."""
     scenario = work.scenario
     mean, sigma = instrument_law(scenario, work.construction)
     return TrialDraws(
@@ -99,33 +99,33 @@ def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
         noise=nominal_noise(scenario, work.sightings),
         lengths=ReferenceLengths.of(blank),
         names=blank.targets,
-        effects=effect_laws(scenario, work.effects),
+        effects=effect_distributions(scenario, work.effects),
         certificate_factor=scenario.cmm.noise_factor,
     )
 
 
 def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], noise: Floats) -> Floats:
-    """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded; NaN for what is not recorded.
+    """Raw readings (n, 3) with noise and rounding; NaN for observables that are not recorded.
 
-    `instrument` (I, p) [SI] is of the scenario's trackers, `values` (q,) [SI] one an effect of `work.effects`, `noise`
-    (n, 3) [m, rad, rad] of the readings.
+    `instrument` (I, p) [SI] are the errors of the trackers, `values` has parameters (q,) [SI] for each effect of
+    `work.effects`, and `noise` (n, 3) [m, rad, rad] is added.
     """
     readings = exact_readings(work, instrument, values) + noise
     readings[:, 1] = wrap(readings[:, 1])
     readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
-    for mistake in mistakes(work.effects, values):
+    for mistake in blunders_in(work.effects, values):
         readings = mistake.written(work.sightings, readings)
     recorded = [[name in tracker.observables for name in OBSERVABLES] for tracker in work.scenario.trackers.values()]
     return np.where(np.array(recorded)[work.sightings.instrument], readings, np.nan)
 
 
 def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
-    """Raw readings (n, 3) before noise of what was really measured: the exact construction, then effects by stage.
+    """Raw readings (n, 3) without noise: the exact construction, then effects in the order of their stages.
 
     `instrument` and `values` as of `simulate_readings`.
     """
     sightings = work.sightings
-    for mistake in mistakes(work.effects, values):
+    for mistake in blunders_in(work.effects, values):
         sightings = mistake.done(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = work.construction.readings(sightings.local, sightings.face, errors)
@@ -135,13 +135,13 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
     return readings
 
 
-def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
-    """Blunders that were made: their one parameter is not 0."""
+def blunders_in(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
+    """Blunders in a trial: those whose parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
-    """A note on every effect that finds nothing to act on: a column, a time, a nest that is not there."""
+    """Notes on effects without influence, because a column, a time or a nest is missing."""
     yield from error_free(work).notes[len(work.notes) :]
 
 
@@ -151,7 +151,7 @@ def _idle(work: Fieldwork, lengths: ReferenceLengths) -> Iterator[str]:
             continue
         if np.any(effect.gauge_design(lengths.first, lengths.second, work.sightings.points)):
             continue
-        yield f"{effect.name} changes nothing here"
+        yield f"{effect.name} changes no reading here"
 
 
 def _setup(work: Fieldwork) -> Setup:
@@ -238,9 +238,9 @@ def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed
 
 
 def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
-    """The recording with what is stated of its known lengths, and certificates that are free of error.
+    """Recording with the declared properties of its reference lengths, and with certificates without error.
 
-    These are the lengths between the reflectors where they stand.
+    The lengths are those between the true positions of the reflectors.
     """
     scenario, points = work.scenario, work.sightings.points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
@@ -258,11 +258,11 @@ def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
     certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
     by_machine = length_sigma(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
-    return certified_by(blank, certified, sigma)
+    return with_certificates(blank, certified, sigma)
 
 
 def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
-    """The pairs of the gauge, then the scale bars, all 1 mm long, with the sigma [um] that is stated, if any."""
+    """Reference lengths of the gauge and of scale bars, each 1 mm long, with the declared sigma [um] if any."""
     blank = {"length_mm": 1.0, "sigma_mm": 1.0}
     if scenario.gauge:
         for a, b in combinations(scenario.gauge.targets, 2):
@@ -273,8 +273,8 @@ def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def certified_by(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
-    """The recording with other certificates: lengths (g,) [m] at calibration, and their sigmas [m] if they change."""
+def with_certificates(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
+    """Recording with other certificates: lengths (g,) [m] at calibration, and (if given) their sigmas [m]."""
     if recording.setup.gauge is None:
         return recording
     lines = []

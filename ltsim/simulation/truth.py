@@ -1,4 +1,4 @@
-"""Truth of a simulated recording, in a separate file (ltsim-truth/1) that no calibrator opens."""
+"""Truth of a simulated recording, in a separate file (ltsim-truth/1) that calibration and diagnosis never read."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,14 +28,14 @@ INSTRUMENT = Table(
 )
 POINTS = Table(
     "points.csv",
-    "true positions of the targets, in the workshop's frame",
+    "true positions of the targets in the workshop frame",
     (*texts(target="name"), *numbers("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
 )
 
 
 @dataclass(frozen=True)
 class AppliedEffect(ValueEquality):
-    """An effect that was at work, with the true values (q,) [SI] of its parameters."""
+    """Applied effect with the true values (q,) [SI] of its parameters."""
 
     effect: Effect
     values: Floats
@@ -43,7 +43,7 @@ class AppliedEffect(ValueEquality):
 
 @dataclass(frozen=True)
 class TruthArrays(ValueEquality):
-    """True values in SI units, in the workshop's frame."""
+    """True values in SI units, workshop frame."""
 
     position: Floats
     """Positions of the stations, (S, 3) [m]."""
@@ -52,22 +52,22 @@ class TruthArrays(ValueEquality):
     points: Floats
     """Positions of the targets, without the displacements of effects, (T, 3) [m]."""
     instrument: Mapping[str, float]
-    """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
+    """True values [SI] of the construction's parameters by name; ``beam-tilt@NAME`` for several instruments."""
     effects: tuple[AppliedEffect, ...] = ()
     """Applied effects, in addition to the instrument's parameters."""
     nominal: Floats | None = None
-    """The targets as a measuring machine gave them, (T, 3) [m]."""
+    """Coordinates of the targets from the measuring machine, (T, 3) [m]; None without one."""
 
 
 def _require_unit(unit: str) -> str:
-    """The unit itself; ValueError for an unknown one."""
+    """The unit, checked to be known; raises ValueError."""
     if unit not in FACTOR:
-        raise ValueError(f"'{shown(unit)}' is no unit, expected one of {', '.join(FACTOR)}")
+        raise ValueError(f"'{shown(unit)}' is not a unit, expected one of {', '.join(FACTOR)}")
     return unit
 
 
 class TrackerTruth(Entry):
-    """An instrument with a name."""
+    """Named instrument in a truth file."""
 
     name: str
     """Name of the instrument in the set-up."""
@@ -78,7 +78,7 @@ class TrackerTruth(Entry):
 
 
 class TrueValue(Entry):
-    """A parameter."""
+    """True value of a parameter."""
 
     name: str
     """Name of the parameter."""
@@ -94,35 +94,35 @@ class TrueValue(Entry):
 
 
 class InstrumentValue(TrueValue):
-    """A parameter of an instrument."""
+    """True value of an instrument's parameter."""
 
     instrument: str = ""
-    """Name of the instrument, where there are several."""
+    """Name of the instrument; empty for a single unnamed one."""
 
     @classmethod
     def of(cls, flat_name: str, value: float, unit: str) -> Self:
-        """The entry of a value [SI]; `flat_name` as of `Construction.names_of`."""
+        """Entry of a value [SI]; `flat_name` has the form of `Construction.names_of`."""
         name, _, instrument = flat_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
         return cls(name=name, value=value / FACTOR[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
-        """Name of the parameter with its instrument, as of `Construction.names_of`."""
+        """Name of the parameter with its instrument, in the form of `Construction.names_of`."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
 class TrueEffect(Entry):
-    """An effect of the catalogue."""
+    """Applied effect of the catalogue in a truth file."""
 
     name: str = Field(alias="effect")
     """Name of the effect in the catalogue."""
     stations: tuple[str, ...] = ()
-    """Stations where it acts; empty for all."""
+    """Stations at which it acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Targets where it acts; empty for all."""
+    """Targets at which it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name, in display units where the effect declares one and in SI otherwise."""
+    """Constants by name, in units of display if the effect declares one, otherwise in SI."""
     parameters: tuple[TrueValue, ...] = ()
     """True values of its parameters."""
 
@@ -149,7 +149,7 @@ class TrueEffect(Entry):
 
 
 class TruePoint(Entry):
-    """A point."""
+    """True position of a point."""
 
     name: str
     """Name of the point."""
@@ -158,7 +158,7 @@ class TruePoint(Entry):
 
 
 class TruePose(TruePoint):
-    """A station."""
+    """True pose of a station."""
 
     rotation_quaternion: Quaternion
     """Rotation from instrument to workshop, as a unit quaternion x, y, z, w."""
@@ -177,15 +177,15 @@ class Truth(ResultFile):
     trial: int = 0
     """Number of the trial among those of its seed."""
     construction: str
-    """Construction whose model made the readings."""
+    """Construction that generated the readings."""
     parameters: tuple[InstrumentValue, ...] = ()
     """True errors of the instruments."""
     effects: tuple[TrueEffect, ...] = ()
     """Effects beyond the errors of the instruments."""
     noise_factor: Finite = 1.0
-    """Ratio of the true noise to the declared noise, of an instrument without a name."""
+    """Ratio of the true noise to the declared noise of an instrument without a name."""
     instruments: tuple[TrackerTruth, ...] = ()
-    """The instruments, where they have names."""
+    """Instruments, if they have names."""
     stations: tuple[TruePose, ...] = Field(min_length=1)
     """True poses of the stations."""
     targets: tuple[TruePoint, ...] = Field(min_length=1)
@@ -214,9 +214,9 @@ class Truth(ResultFile):
         units: Sequence[str],
         **fields: object,
     ) -> Self:
-        """The truth of arrays with the names of stations and targets and the units of the parameters.
+        """Truth from arrays, with names of stations and targets and units of parameters.
 
-        `fields` are the further ones of the model.
+        `fields` are other fields of the model.
         """
         nominal = {} if arrays.nominal is None else {"nominal": _points(targets, arrays.nominal)}
         made = cls.model_validate(
@@ -316,19 +316,19 @@ def _positions(points: Sequence[TruePoint]) -> Floats:
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Write a truth file at once."""
+    """Atomic writing of a truth file."""
     write_text(path, truth.text())
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a truth file; raises RecordError."""
+    """Truth from a file; raises RecordError."""
     return read_result(path, Truth)
 
 
 def nominal_csv(truth: Truth) -> str:
-    """The table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, which verification reads.
+    """Table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, for verification.
 
-    Raises ModelError when the scenario has no measuring machine.
+    Raises ModelError for a scenario without measuring machine.
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")

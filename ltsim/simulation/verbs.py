@@ -1,4 +1,4 @@
-"""Virtual workshops: scenarios, and recordings made from them."""
+"""Public functions of the simulation: scenarios, and recordings of them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ from ltsim.simulation.simulator import Geometry, simulate as measured
 from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
-"""A scenario, its file, or the name of a built-in one."""
+"""Scenario, its file, or the name of a built-in one."""
 
 
 class Simulated(NamedTuple):
@@ -22,7 +22,7 @@ class Simulated(NamedTuple):
 
 
 def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -> Scenario:
-    """A built-in scenario or that of a file, with some of its keys changed.
+    """Scenario, built-in or from a file, with some of its keys changed.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def simulate(
     geometry: Geometry = "shared",
     changes: Mapping[str, Any] | None = None,
 ) -> Simulated:
-    """Measure a virtual workshop once: a recording, and its truth.
+    """Recording of a virtual workshop, and its truth.
 
     Parameters
     ----------

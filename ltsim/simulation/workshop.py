@@ -1,4 +1,4 @@
-"""The workshop as planned: poses, points, nests, obstacles, and who sees whom."""
+"""Planned workshop: poses, points, nests, obstacles and visibility."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.scene.cad import Cad, extent, inside, read_mesh, size_question
-from ltsim.scene.meshes import Obstacles, box, cylinder, placed, together
-from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
+from ltsim.scene.cad import CadFile, extent, inside, read_mesh, size_question
+from ltsim.scene.meshes import Obstacles, box, cylinder, joined_obstacles, transformed
+from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, joined_tables, visibility
 from ltsim.simulation.gauge import frame_of, in_workshop
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle, ScenarioInstrument
@@ -24,21 +24,21 @@ class Layout:
     stations: tuple[str, ...]
     targets: tuple[str, ...]
     position: Floats
-    """(S, 3) [m]."""
+    """Positions of the stations, (S, 3) [m]."""
     rotation: Floats
     """Instrument frame to workshop, (S, 3, 3)."""
     points: Floats
-    """(T, 3) [m]."""
+    """Positions of the targets, (T, 3) [m]."""
     nest_normal: Floats
-    """Unit vectors, NaN where unknown, (T, 3)."""
+    """Unit normals of the nests, NaN if unknown, (T, 3)."""
     reaimed: Bools
-    """(T,)."""
+    """Flags (T,) of re-aimed reflectors."""
 
 
 def planned(scenario: Scenario) -> Layout:
-    """The layout of a scenario, exactly as its file says; reflectors of the mesh first, then the gauge's.
+    """Planned layout of a scenario; reflectors of the mesh first, then those of the gauge.
 
-    Raises SetupError when no gauge has the stated lengths.
+    Raises SetupError if no gauge has the declared lengths.
     """
     stations = scenario.stations.values()
     position = np.array([s.position_mm for s in stations], dtype=np.float64) * MILLIMETRE
@@ -60,7 +60,10 @@ def planned(scenario: Scenario) -> Layout:
 
 
 def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
-    """Normals (T, 3) and which reflectors are re-aimed (T,); fixed nests without a normal are aimed at the stations."""
+    """Normals (T, 3) of the nests and flags (T,) of re-aimed reflectors.
+
+    Fixed nests without a normal face the stations.
+    """
     missing = (np.nan, np.nan, np.nan)
     normals = [t.nest_normal or missing for t in scenario.targets.values()]
     declared = [t.reaimed for t in scenario.targets.values()]
@@ -92,13 +95,13 @@ def sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle in its place."""
+    """Obstacle at its position."""
 
     name: str
     triangles: Floats
-    """(m, 3, 3) [m]."""
-    cad: Cad | None
-    """The file that it comes from."""
+    """Triangles of the obstacle, (m, 3, 3) [m]."""
+    cad: CadFile | None
+    """CAD file of the obstacle; None for a box or cylinder."""
 
     @property
     def words(self) -> str:
@@ -110,13 +113,13 @@ class Body:
 def obstacles_of(scenario: Scenario) -> Obstacles | None:
     """Obstacles of the lines of sight, or None in an empty workshop; raises SetupError."""
     parts = bodies_of(scenario)
-    return together(body.triangles for body in parts) if parts else None
+    return joined_obstacles(body.triangles for body in parts) if parts else None
 
 
 def bodies_of(scenario: Scenario) -> list[Body]:
-    """Each obstacle in its place.
+    """Obstacles at their positions.
 
-    Raises SetupError for a CAD file that cannot be read, or whose size or place has to be asked about.
+    Raises SetupError for a CAD file that cannot be read, or whose size or position is implausible.
     """
     room = np.array(scenario.workshop.size_mm) * MILLIMETRE
     parts = []
@@ -140,21 +143,21 @@ def bodies_of(scenario: Scenario) -> list[Body]:
 
 
 def _in_place(entry: Obstacle, triangles: Floats) -> Floats:
-    return placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+    return transformed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
 
 
-def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
-    """Question to the user about a body that reaches beyond the room; empty for none."""
+def _place_question(entry: Obstacle, body: Body, cad: CadFile, room: Floats) -> str:
+    """Question to the user about an obstacle that extends beyond the room; empty for none."""
     if entry.beyond_room or inside(body.triangles, room):
         return ""
     other = "z" if cad.up == "y" else "y"
     turned = _in_place(entry, cad.turned)
     size = " x ".join(f"{v:g}" for v in room)
     what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
-    fits = f'with up = "{other}" it would stand in it' if inside(turned, room) else "move it by position_mm"
+    fits = f'with up = "{other}" it is inside the room' if inside(turned, room) else "move it by position_mm"
     return (
         f"{cad.file}: {what} of {size} m ({cad.read_as}: {extent(body.triangles)}); {fits}; "
-        "if it belongs there, state beyond_room = true"
+        "if this is correct, set beyond_room = true"
     )
 
 
@@ -175,4 +178,4 @@ def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibilit
         )
         for stations, tracker in zip(stations_of_tracker, scenario.trackers.values(), strict=True)
     ]
-    return in_order(tables, np.argsort(np.concatenate(stations_of_tracker)))
+    return joined_tables(tables, np.argsort(np.concatenate(stations_of_tracker)))

@@ -1,1 +1,1 @@
-"""Least squares on matrices. This package knows no tracker."""
+"""Least squares on matrices, independent of trackers: solvers, elimination, projections."""

@@ -1,9 +1,9 @@
-"""Cholesky factor of a sparse symmetric matrix that falls into a chain of blocks, and the inverse where it counts.
+"""Sparse Cholesky factor for matrices with the structure of a chain of blocks, and the required parts of the inverse.
 
 Stations along a tunnel or round a ring are coupled to their neighbours only. Ordered by reverse Cuthill-McKee their
-normal matrix is block tridiagonal, with a dense border of the unknowns that everything shares (instrument
-parameters). Factor and selected inverse then cost what the chain is long, not its cube. A matrix without such an
-order is one block, and everything below is ordinary dense algebra.
+normal matrix is block tridiagonal, with a dense border of the unknowns that everything shares (instrument parameters).
+The cost of factor and selected inverse is then proportional to the length of the chain and not to its cube. A matrix
+without such an order is one block, for which dense algebra is used.
 """
 
 from dataclasses import dataclass
@@ -16,28 +16,28 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from ltsim.core.arrays import Floats, Ints
 
-SMALL = 240
-"""Matrices up to this size are one block: ordering them would cost more than it saves."""
-SHARED = 0.6
-"""A column coupled to more than this share of all others belongs to the border."""
-LEAST_BLOCK = 48
+MAX_SINGLE_BLOCK = 240
+"""Size up to which a matrix is treated as one block, because ordering it would cost more than it saves."""
+MIN_BORDER_COUPLING = 0.6
+"""Fraction of all other columns to which a column of the border is coupled at least."""
+MIN_BLOCK = 48
 
 
 def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
-    """Order (K,) of the columns, and the edges (b + 2,) of b blocks in it; the border lies after the last block."""
+    """Order (K,) of the columns, and the limits (b + 2,) of b blocks and of the border, which is last."""
     size = matrix.shape[0]
     whole = np.arange(size), np.array([0, size, size])
-    if size <= SMALL:
+    if size <= MAX_SINGLE_BLOCK:
         return whole
-    shared = np.diff(matrix.indptr) > SHARED * size
+    shared = np.diff(matrix.indptr) > MIN_BORDER_COUPLING * size
     inner = np.flatnonzero(~shared)
-    if len(inner) <= SMALL:
+    if len(inner) <= MAX_SINGLE_BLOCK:
         return whole
     part = sp.csr_array(matrix[inner][:, inner])
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
     place = np.argsort(order)
     rows = np.repeat(place, np.diff(part.indptr))
-    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), LEAST_BLOCK)
+    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), MIN_BLOCK)
     if 3 * width >= len(inner):
         return whole
     edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), size])
@@ -46,16 +46,19 @@ def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True)
 class BlockWindow:
-    """The inverse (w, w) over two neighbouring blocks and the border; `place` (K,) of a column in it, -1 for none."""
+    """Inverse (w, w) over two neighbouring blocks and the border.
+
+    `place` (K,) is the position of each column in it, -1 for none.
+    """
 
     place: Ints
     inverse: Floats
 
 
 class BlockChain:
-    """Factor of a positive definite sparse matrix.
+    """Cholesky factor of a positive definite sparse matrix with chain structure.
 
-    LinAlgError when it is not positive definite.
+    Raises LinAlgError if the matrix is not positive definite.
 
     Parameters
     ----------
@@ -65,7 +68,7 @@ class BlockChain:
     Attributes
     ----------
     block_of : (K,) int
-        The block each column lies in; the number of blocks for the border.
+        Block of each column; the number of blocks for the border.
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
@@ -102,7 +105,7 @@ class BlockChain:
         return float(min(np.diag(root).min(initial=1.0) ** 2 for root in (*self._root, self._corner)))
 
     def solve(self, right: Floats) -> Floats:
-        """Solve for a right-hand side (K, c)."""
+        """Solution (K, c) for right-hand sides (K, c)."""
         x = right[self._order]
         border = self._edges[-2]
         for i, (root, after) in enumerate(zip(self._root, self._next, strict=True)):
@@ -123,7 +126,7 @@ class BlockChain:
         return solved
 
     def inverse(self) -> Floats:
-        """The whole inverse (K, K)."""
+        """Complete inverse (K, K)."""
         if self.count == 1:
             return self.windows[0].inverse
         inverse = self.solve(np.eye(len(self._order)))
@@ -131,7 +134,7 @@ class BlockChain:
 
     @cached_property
     def windows(self) -> list[BlockWindow]:
-        """The inverse on each block, the next one and the border.
+        """Parts of the inverse, each on a block, the next block and the border.
 
         References
         ----------
@@ -160,7 +163,7 @@ class BlockChain:
         return windows[::-1]
 
     def _span(self, i: int) -> tuple[int, int, int]:
-        """Begin and end of a block, and the end of the next."""
+        """Begin and end of a block, and the end of the next one."""
         last = len(self._edges) - 2
         return int(self._edges[i]), int(self._edges[i + 1]), int(self._edges[min(i + 2, last)])
 

@@ -1,10 +1,10 @@
-"""Designs of least squares, dense where they are small and sparse otherwise, and what they determine.
+"""Design matrices of least squares (dense if small, otherwise sparse), and tests for undetermined unknowns.
 
-What is undetermined is decided by stated tolerances, never by whether a factorisation happens to fail: its pivots carry
-rounding errors that grow with the length of the null vector, so a doubtful direction's image is looked at itself.
+Fixed tolerances decide which unknowns are undetermined, and not the failure of a factorisation: the rounding errors of
+pivots grow with the length of the null vector, so that for a doubtful direction the length of its image is computed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -12,14 +12,19 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
-DENSE = 600_000
-"""Designs with fewer entries are dense: sparse bookkeeping would cost more than the zeros."""
+MAX_DENSE_ENTRIES = 600_000
+"""Number of entries below which a design is dense, because sparse bookkeeping would cost more."""
+
+PIECE = 30_000
+"""Rows of a sparse design that are worked on at a time: the work copies them."""
+ENTRIES = 1_000_000
+"""Entries of a sparse design that are worked on at a time."""
 
 Design: TypeAlias = Floats | sp.csr_array
 
 
 class Pattern:
-    """Sparsity pattern of a design matrix: the places of its entries, whatever their values.
+    """Sparsity pattern of a design matrix: positions of its entries, independent of their values.
 
     Parameters
     ----------
@@ -32,28 +37,34 @@ class Pattern:
 
     def __init__(self, columns: Sequence[Ints], size: int) -> None:
         widths = np.repeat([kind.shape[1] for kind in columns], [len(kind) for kind in columns])
-        indices = np.concatenate([kind.ravel() for kind in columns])
-        self._shape = len(widths), size
-        self._is_dense = len(widths) * size <= DENSE
+        pointers = np.concatenate([[0], np.cumsum(widths)])
+        small = np.int32 if pointers[-1] < 2**31 else np.int64
+        indices = np.empty(int(pointers[-1]), dtype=small)
+        np.concatenate([kind.ravel() for kind in columns], out=indices, casting="same_kind")
+        self._shape, self._entries = (len(widths), size), len(indices)
+        self._is_dense = len(widths) * size <= MAX_DENSE_ENTRIES
         if self._is_dense:
-            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices
+            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices.astype(np.int64)
         else:
-            pointers = np.concatenate([[0], np.cumsum(widths)])
-            kind = np.int32 if pointers[-1] < 2**31 else np.int64
-            self._indices, self._pointers = indices.astype(kind), pointers.astype(kind)
+            self._indices, self._pointers = indices, pointers.astype(small)
 
-    def filled(self, values: Sequence[Floats]) -> Design:
-        """The design (m, size) with these values, shaped like the columns."""
-        entries = np.concatenate([kind.ravel() for kind in values])
+    def filled(self, values: Iterable[Floats]) -> Design:
+        """Design (m, size) with these values, which have the shape of `columns`; each is copied in turn."""
+        entries, end = np.empty(self._entries), 0
+        for kind in values:
+            begin, end = end, end + kind.size
+            entries[begin:end] = kind.ravel()
         if self._is_dense:
             return np.bincount(self._places, entries, self._shape[0] * self._shape[1]).reshape(self._shape)
-        design = sp.csr_array((entries, self._indices, self._pointers), shape=self._shape, copy=True)
-        design.eliminate_zeros()  # what acts on one station or target is zero in most rows
-        return design
+        nonzero = entries != 0.0  # what acts on one station or target is zero in most rows
+        before = np.zeros(len(entries) + 1, dtype=self._pointers.dtype)
+        np.cumsum(nonzero, out=before[1:])
+        pointers = before[self._pointers]
+        return sp.csr_array((entries[nonzero], self._indices[nonzero], pointers), shape=self._shape)
 
 
 def as_dense(design: Design) -> Floats:
-    """A design, or rows of one, as a dense array."""
+    """Design, or some of its rows, as a dense array."""
     return design if isinstance(design, np.ndarray) else design.toarray()
 
 
@@ -62,48 +73,81 @@ def column_scale(design: Design) -> Floats:
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
-        squares = np.bincount(design.indices, design.data**2, design.shape[1])
+        squares = np.zeros(design.shape[1])
+        for first in range(0, len(design.data), ENTRIES):
+            piece = slice(first, first + ENTRIES)
+            squares += np.bincount(design.indices[piece], design.data[piece] ** 2, design.shape[1])
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
 def scaled(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
-    """Rows with every column times its scale."""
+    """Rows with every column multiplied by its scale."""
     return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
 
 
-DOUBTFUL = 1e-8
-"""Pivots of unit columns below this may be rounding: then the weakest direction is looked at itself."""
-RANK = 1e-14
-"""Squared length of the image of a unit vector under unit columns, at or below which it is undetermined.
+def pieces(design: sp.csr_array, scale: Floats) -> Iterator[sp.csr_array]:
+    """Rows of a sparse design, some at a time, with every column times its scale."""
+    for first in range(0, design.shape[0], PIECE):
+        yield scaled(design[first : first + PIECE], scale)
 
-Fifty times the rounding of a Cholesky factorisation; a chain of 2,000 set-ups bends by 1e-13."""
-FORMED = 1e-12
-"""The same for a normal matrix that eliminations left, whose design is not at hand: its eigenvalues carry 1e-15."""
 
-POINT = 1e-10
-"""Least over largest eigenvalue of a point's normal matrix, below which a direction of the point is open: it is known
-100,000 times worse than the others."""
+def gram_of(parts: Iterable[sp.csr_array], size: int) -> sp.csr_array:
+    """Product A' A (size, size) of a sparse design of which `parts` are the rows."""
+    total = sp.csr_array((size, size))
+    for part in parts:
+        total = total + sp.csr_array(part.T @ part)
+    return sp.csr_array(total)
+
+
+def weighted(design: Design, weight: Floats) -> Design:
+    """A design with its rows times weights (m,)."""
+    if isinstance(design, np.ndarray):
+        return np.asarray(design * weight[:, None])
+    data = np.repeat(weight, np.diff(design.indptr))
+    data *= design.data
+    return sp.csr_array((data, design.indices, design.indptr), design.shape)
+
+
+DOUBTFUL_PIVOT = 1e-8
+"""Pivot of unit columns below which it may be a rounding error, so that the weakest direction is tested itself."""
+RANK_TOLERANCE = 1e-14
+"""Squared length of the image of a unit vector under unit columns at or below which the direction is undetermined.
+
+Fifty times the rounding of a Cholesky factorisation; a chain of 2,000 set-ups bends by 1e-13.
+"""
+NORMAL_RANK_TOLERANCE = 1e-12
+"""Tolerance as `RANK_TOLERANCE` for a normal matrix after eliminations, whose design is not available: its eigenvalues
+have rounding errors of 1e-15.
+"""
+
+POINT_RANK_TOLERANCE = 1e-10
+"""Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which a direction of the point is
+undetermined: its standard deviation is 100,000 times that of the others.
+"""
 
 
 def unit_diagonal(matrices: Floats, size: Floats) -> tuple[Floats, Floats]:
-    """Symmetric matrices (..., k, k) scaled by the columns' squared lengths `size` (..., k), and the scale (..., k)."""
+    """Symmetric matrices (..., k, k) divided by the column norms, and these scales (..., k).
+
+    `size` (..., k) are squared norms.
+    """
     scale = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))
     scaled: Floats = matrices * scale[..., :, None] * scale[..., None, :]
     return scaled, scale
 
 
 def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
-    """Lower factors (b, k, k) of normal matrices of unit columns, and which of these (b,) leave no direction open.
+    """Lower Cholesky factors (b, k, k) of normal matrices of unit columns, and flags (b,) of the determined ones.
 
-    A factor is NaN where one is open. Only matrices with a doubtful pivot pay for their eigenvalues.
+    Other factors are NaN. Eigenvalues are computed only for matrices with a doubtful pivot.
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
-        doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > DOUBTFUL)
+        doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > DOUBTFUL_PIVOT)
     except np.linalg.LinAlgError:
         roots, doubtful = np.full_like(matrices, np.nan), np.ones(len(matrices), dtype=bool)
     if doubtful.any():
-        definite = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > FORMED
+        definite = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > NORMAL_RANK_TOLERANCE
         factors = np.full_like(matrices[doubtful], np.nan)
         factors[definite] = np.linalg.cholesky(matrices[doubtful][definite])
         roots[doubtful] = factors
@@ -112,9 +156,9 @@ def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
 
 
 NORMAL_MEDIAN = 0.6744897501960817
-"""Median of |x| for a standard normal x."""
+"""Median of |x| for a standard normal variable x."""
 
 
 def median_deviation(values: Floats) -> float:
-    """Standard deviation estimated from the median of absolute values; 0 for none."""
+    """Standard deviation estimated from the median of absolute values; 0 for an empty array."""
     return median(np.abs(values)) / NORMAL_MEDIAN if len(values) else 0.0

@@ -1,14 +1,13 @@
-"""A linear least-squares step with most unknowns eliminated block by block.
+"""Linear least-squares step in which most unknowns are eliminated block by block.
 
 Unknowns come in two kinds: *reduced* ones (K columns) and *eliminated* ones, in blocks of three that no row shares with
 another such block. Normal equations then have a block-diagonal part that is inverted block by block, and what remains
 is the Schur complement of size K: cost is linear in the number of blocks.
 
-Columns are scaled to unit norm before anything is factorised, so no rank is ever decided by an absolute number.
+Columns are scaled to unit norm before any factorisation, so that ranks do not depend on units.
 
-There is a dense way for small systems and a sparse one for large. Both answer the same questions (solution, inverse
-where rows of the design need it, leverage) and are compared with each other in the tests. All answers are in units of
-scaled columns.
+A dense implementation is for small systems and a sparse one for large systems. Both provide solution, leverage and the
+parts of the inverse that rows of the design need; tests compare them. Results are in units of the scaled columns.
 """
 
 from __future__ import annotations
@@ -25,12 +24,21 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.solve.chain import BlockChain, inverse_of
-from ltsim.solve.design import DOUBTFUL, RANK, Design, column_scale, scaled, unit_diagonal
+from ltsim.solve.design import (
+    DOUBTFUL_PIVOT,
+    RANK_TOLERANCE,
+    Design,
+    column_scale,
+    gram_of,
+    pieces,
+    scaled,
+    unit_diagonal,
+)
 from ltsim.solve.threads import single_threaded
 
 
 class DenseElimination:
-    """Elimination with dense matrices; design (m, K + 3 E)."""
+    """Elimination with dense matrices, for a design (m, K + 3 E)."""
 
     def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
         self._design, self._n_reduced = design, n_reduced
@@ -43,11 +51,11 @@ class DenseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot."""
+        """Smallest pivot of the blocks and of the Schur complement."""
         return float(np.diag(self._root).min(initial=1.0) ** 2)
 
     def solve(self, right: Floats) -> Floats:
-        """Solve for a right-hand side (K + 3 E, c)."""
+        """Solution for right-hand sides (K + 3 E, c)."""
         return scipy.linalg.lapack.dpotrs(self._root, right, lower=1)[0]
 
     @cached_property
@@ -56,35 +64,35 @@ class DenseElimination:
 
     @property
     def reduced_inverse(self) -> Floats:
-        """The inverse (K, K) on the reduced unknowns."""
+        """Inverse (K, K) for the reduced unknowns."""
         return self._inverse[: self._n_reduced, : self._n_reduced]
 
     def inverse_of_sets(self, columns: Ints) -> Floats:
-        """The inverse (c, k, k) on sets (c, k) of reduced unknowns."""
+        """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
+        """Inverse (E, 3, 3) for every block, and leverage (m,) of every row."""
         at = np.arange(self._n_reduced, len(self._root)).reshape(-1, 3)
         rows = (self._design * self.scale).T
         whitened = scipy.linalg.solve_triangular(self._root, rows, lower=True, check_finite=False)
         return self.inverse_of_sets(at), np.einsum("um,um->m", whitened, whitened)
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """R N^-1 R' for groups of neighbouring rows."""
+        """Matrices R N^-1 R' for groups R of neighbouring rows."""
         for low, high in pairwise(edges.tolist()):
             group = rows[low:high].toarray() * self.scale
             yield group @ self.solve(group.T)
 
 
 class SparseElimination:
-    """Sparse elimination; the Schur complement is a chain of blocks where its structure allows."""
+    """Elimination with sparse matrices; the Schur complement is a chain of blocks if its structure permits."""
 
     def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
         self.scale = column_scale(design)
-        self._design, self._n_reduced = scaled(design, self.scale), n_reduced
-        normal = sp.csr_array(self._design.T @ self._design)
+        self._design, self._n_reduced = design, n_reduced
+        normal = gram_of(pieces(design, self.scale), design.shape[1])
         count = (normal.shape[0] - n_reduced) // 3
         blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], count) + damping * np.eye(3)
         self._inverse, self._least = block_inverse(blocks)
@@ -101,7 +109,7 @@ class SparseElimination:
         return min(self._least, self._chain.smallest_pivot)
 
     def solve(self, right: Floats) -> Floats:
-        """Solve for a right-hand side (K + 3 E, c)."""
+        """Solution for right-hand sides (K + 3 E, c)."""
         front, back = right[: self._n_reduced], right[self._n_reduced :]
         reduced = self._chain.solve(front - self._carry @ back)
         blocks = back.reshape(len(back) // 3, 3, right.shape[1])  # of no columns too
@@ -109,11 +117,11 @@ class SparseElimination:
 
     @cached_property
     def reduced_inverse(self) -> Floats:
-        """The inverse (K, K) on the reduced unknowns."""
+        """Inverse (K, K) for the reduced unknowns."""
         return self._chain.inverse()
 
     def inverse_of_sets(self, columns: Ints) -> Floats:
-        """The inverse (c, k, k) on sets (c, k) of reduced unknowns."""
+        """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._lowest(columns, axis=1)
         for i in np.unique(lowest):
@@ -126,36 +134,43 @@ class SparseElimination:
         return inverses
 
     def _lowest(self, columns: Ints, axis: int) -> Ints:
-        """The first block of the chain that sets of columns touch."""
+        """First block of the chain that each set of columns touches."""
         return np.asarray(self._chain.block_of[columns].min(axis=axis, initial=self._chain.count - 1))
 
     @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row.
+        """Inverse (E, 3, 3) for every block, and leverage (m,) of every row.
 
-        Rows are taken by the block they touch, those without one each alone: what a block couples lies in one window.
+        Rows are grouped by the block that they touch, and rows without a block are processed singly, because all
+        columns coupled by a block are in one window.
         """
         blocks, leverage = self._inverse.copy(), np.zeros(self._design.shape[0])
         order, edges, back = _by_block(self._design, self._n_reduced, len(blocks))
-        front, carries = sp.csr_array(self._design[order][:, : self._n_reduced]), sp.csr_array(self._carry.T)
-        for g, (low, high) in enumerate(pairwise(edges.tolist())):
+        scale, carries = self.scale[self._n_reduced :].reshape(-1, 3), sp.csr_array(self._carry.T)
+        for g, mine, front in self._groups(order, edges):
             if g < len(blocks):
                 carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
-                behind = back[order[low:high]]
-                leverage[order[low:high]] = np.sum((behind @ self._inverse[g]) * behind, axis=1)
-                reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
+                behind = back[mine] * scale[g]
+                leverage[mine] = np.sum((behind @ self._inverse[g]) * behind, axis=1)
+                reduced = dense_rows(front, 0, len(mine), columns)[0] * self.scale[columns] - behind @ carry
             else:
-                carry, (reduced, columns) = None, dense_rows(front, low, high)
+                carry, (reduced, columns) = None, dense_rows(front, 0, len(mine))
+                reduced = reduced * self.scale[columns]
             window = self._chain.windows[int(self._lowest(columns, axis=0))]
             at = window.place[columns]
             inverse = window.inverse[at[:, None], at]
-            leverage[order[low:high]] += np.sum((reduced @ inverse) * reduced, axis=1)
+            leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
             if carry is not None:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 
+    def _groups(self, order: Ints, edges: Ints) -> Iterator[tuple[int, Ints, sp.csr_array]]:
+        """Number of each group of rows, its rows, and these in the reduced columns; order and edges of `_by_block`."""
+        for g, (low, high) in enumerate(pairwise(edges.tolist())):
+            yield g, order[low:high], sp.csr_array(self._design[order[low:high]][:, : self._n_reduced])
+
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """R N^-1 R' for groups of neighbouring rows: each asks for the inverse where it has entries only."""
+        """Matrices R N^-1 R' for groups R of neighbouring rows; only the needed parts of the inverse are used."""
         rows = scaled(rows, self.scale)
         back = sp.csr_array(rows[:, self._n_reduced :])
         reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._carry.T)
@@ -172,7 +187,10 @@ class SparseElimination:
 
 
 def _by_block(design: sp.csr_array, n_reduced: int, count: int) -> tuple[Ints, Ints, Floats]:
-    """Rows (m,) by the block they touch, then those without one; edges of these groups; rows (m, 3) on their block."""
+    """Rows (m,) sorted by the block that they touch, limits of these groups, and rows (m, 3) on their block.
+
+    Rows without a block are last.
+    """
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
     block[rows[behind]] = (design.indices[behind] - n_reduced) // 3
@@ -184,9 +202,9 @@ def _by_block(design: sp.csr_array, n_reduced: int, count: int) -> tuple[Ints, I
 
 
 def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Rows low to high on the columns (k,) where they have entries, or on sorted ones given, and these columns.
+    """Rows low to high as a dense array on the columns (k,) with entries, or on given sorted ones; these columns.
 
-    What stands in none of the columns given is left out.
+    Entries in other columns are ignored.
     """
     begin, end = matrix.indptr[low], matrix.indptr[high]
     indices = matrix.indices[begin:end]
@@ -200,7 +218,7 @@ def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None =
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
-    """Inverse of positive definite blocks (E, 3, 3) and their smallest pivot; LinAlgError where one is not definite."""
+    """Inverse of positive definite blocks (E, 3, 3) and their smallest pivot; raises LinAlgError for another block."""
     if not len(blocks):
         return blocks, 1.0
     root = np.linalg.cholesky(blocks)
@@ -210,7 +228,7 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
 
 
 def _diagonal_blocks(corner: sp.csr_array, count: int) -> Floats:
-    """The 3 x 3 blocks (E, 3, 3) on the diagonal; other entries must not exist."""
+    """Diagonal 3 x 3 blocks (E, 3, 3); the matrix must not have other entries."""
     entries = corner.tocoo()
     blocks = np.zeros((count, 3, 3))
     np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
@@ -225,34 +243,34 @@ def _block_diagonal(blocks: Floats) -> sp.csr_array:
     return sp.csr_array(sp.bsr_array((blocks, at, np.arange(count + 1)), shape=(3 * count, 3 * count)))
 
 
-UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
+UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check the noise"
 
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """A whitened linear system: minimise |design @ step - residual|^2."""
+    """Whitened linear least-squares problem: minimise |design @ step - residual|^2."""
 
     design: Design
-    """Reduced columns first, (m, K + 3 E)."""
+    """Design matrix (m, K + 3 E), reduced columns first."""
     residual: Floats
-    """Observed minus predicted, over sigma, (m,)."""
+    """Observed minus predicted values divided by sigma, (m,)."""
     n_reduced: int
-    """K, the number of unknowns that are not eliminated: the size of the Schur complement."""
+    """Number K of unknowns that are not eliminated, the size of the Schur complement."""
 
     @property
     def cost(self) -> float:
-        """Sum of squares."""
+        """Sum of squared residuals."""
         return float(self.residual @ self.residual)
 
 
 class SingularSystemError(NetworkError):
-    """The rows leave a direction of the unknowns undetermined (`ltsim.solve.design`)."""
+    """Error for a system that leaves a direction of the unknowns undetermined (`ltsim.solve.design`)."""
 
 
 class BlockFactor:
-    """The factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
+    """Factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
 
-    SingularSystemError when the rows and the damping leave a direction undetermined.
+    Raises SingularSystemError if rows and damping leave a direction undetermined.
 
     Parameters
     ----------
@@ -273,7 +291,7 @@ class BlockFactor:
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED) from error
         self._scale = self._elimination.scale
-        if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest() <= RANK:
+        if self._elimination.smallest_pivot < DOUBTFUL_PIVOT and damping + self._weakest() <= RANK_TOLERANCE:
             raise SingularSystemError(UNDETERMINED)
 
     def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:
@@ -281,7 +299,7 @@ class BlockFactor:
         return BlockFactor, (self._system, self._damping)
 
     def _weakest(self) -> float:
-        """Squared length of the image of the weakest direction, by inverse iteration; accurate however small."""
+        """Squared length of the image of the weakest direction by inverse iteration, accurate for any length."""
         vector = np.cos(np.arange(len(self._scale), dtype=np.float64))[:, None]
         for _ in range(3):
             vector = self._elimination.solve(vector / np.linalg.norm(vector))
@@ -289,7 +307,7 @@ class BlockFactor:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """The damped Gauss-Newton step (K + 3 E,) for the system's residual, or another (m,) of the same design."""
+        """Damped Gauss-Newton step (K + 3 E,) for the residual of the system, or for another one (m,)."""
         right = self._system.design.T @ (self._system.residual if residual is None else residual)
         return self.covariance_columns(right[:, None])[:, 0]
 
@@ -301,7 +319,10 @@ class BlockFactor:
 
     @single_threaded
     def inverse_of_sets(self, columns: Ints) -> Floats:
-        """Covariance (c, k, k) of sets (c, k) of reduced unknowns; cheap where a row of the design holds each set."""
+        """Covariances (c, k, k) of sets (c, k) of reduced unknowns.
+
+        Efficient if each set is in one row of the design.
+        """
         scale = self._scale[columns]
         return self._elimination.inverse_of_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
@@ -313,19 +334,22 @@ class BlockFactor:
 
     @single_threaded
     def covariance_columns(self, rows: Floats) -> Floats:
-        """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
+        """Product (K + 3 E, c) of the covariance and the vectors `rows` (K + 3 E, c)."""
         return self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot for unit columns."""
+        """Smallest pivot for unit columns."""
         return self._elimination.smallest_pivot
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """Covariance R N^-1 R' of groups of functions (q, K + 3 E): group i are the rows edges[i] to edges[i + 1]."""
+        """Covariances R N^-1 R' of groups of functions (q, K + 3 E); group i has the rows edges[i] to edges[i + 1]."""
         return self._elimination.forms(rows, edges)
 
     @single_threaded
     def leverage(self) -> Floats:
-        """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
+        """Leverage (m,) of each row: derivative of its fitted value with respect to its observation.
+
+        Redundancy is one minus it.
+        """
         return self._elimination.blocks_and_leverage[1]

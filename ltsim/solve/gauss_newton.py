@@ -1,4 +1,4 @@
-"""Gauss-Newton with Levenberg-Marquardt damping: the loop, once, for any problem of the protocol."""
+"""Gauss-Newton iteration with Levenberg-Marquardt damping, for any problem that implements the protocol."""
 
 from __future__ import annotations
 
@@ -12,56 +12,61 @@ from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemErro
 
 X = TypeVar("X")
 TOLERANCE = 1e-8
-"""Squared length of a step, measured by the normal matrix (in standard deviations), below which the end is reached."""
-NEAR = 1.0
-"""Squared length [standard deviations] of a step after which the last design is tried once more."""
-SURE = 1e-4
-"""Share of the tolerance below which the next step is not looked at: a millionth of a standard deviation."""
-SLIGHT = 1e-5
-"""Damping that leaves a step what it is: a short step under more of it proves nothing."""
-ROUNDED = 1e-4
-"""Squared length below which steps that no longer become shorter are rounding error (large coordinates)."""
+"""Squared length of a step, in the metric of the normal matrix (standard deviations), below which the iteration has
+converged.
+"""
+REUSE_LIMIT = 1.0
+"""Squared length [standard deviations] of a step below which the design is reused for one more step."""
+CERTAIN_CONVERGENCE = 1e-4
+"""Fraction of the tolerance below which no further step is computed: a millionth of a standard deviation."""
+NEGLIGIBLE_DAMPING = 1e-5
+"""Damping up to which a short step counts as convergence; with more damping steps are short anyway."""
+ROUNDING_LENGTH = 1e-4
+"""Squared length below which steps that no longer decrease are rounding errors (large coordinates)."""
 
 
 class Problem(Protocol[X]):
-    """Interface of a problem to the Gauss-Newton loop; a point X may be any object (a state with rotations)."""
+    """Interface of a problem to the Gauss-Newton iteration.
+
+    A point X may be any object, such as a state with rotations.
+    """
 
     def linearise(self, x: X) -> BlockSystem:
-        """The whitened linear system at x."""
+        """Whitened linear system at x."""
 
     def residual(self, x: X) -> Floats:
-        """The whitened residual of that system alone."""
+        """Whitened residual of that system alone."""
 
     def retract(self, x: X, step: Floats) -> X:
-        """The point reached from x by a step."""
+        """Point that a step from x leads to."""
 
 
 class Status(Enum):
-    """Termination status of an iteration, in a sentence for the user."""
+    """Termination status of an iteration; the value is a sentence for the user."""
 
     CONVERGED = "the last step was far below one standard deviation"
-    STALLED = "no step, however damped, lowers the sum of squares further"
-    CAPPED = "the cap on iterations was reached before the steps became small"
-    SINGULAR = "some unknowns are not determined by the observations and their stated noise"
-    LOST = "the observations contradict each other so far that no step leads on, although they determine every unknown"
-    PLANNED = "nothing was solved: the state is where the observations are planned"
+    STALLED = "no damped step reduces the sum of squares further"
+    CAPPED = "the limit of iterations was reached before the steps became small"
+    SINGULAR = "the observations with their declared noise do not determine all unknowns"
+    LOST = "the observations determine every unknown, but contradict each other too much for any further step"
+    PLANNED = "nothing was solved: the observations are only planned"
 
 
 @dataclass(frozen=True)
 class Solution(Generic[X]):
-    """Result of the Gauss-Newton loop: the last point and its linear system."""
+    """Result of the Gauss-Newton iteration: the last point and its linear system."""
 
     x: X
     cost: float
     iterations: int
     status: Status
     factor: BlockFactor | None
-    """Factorised undamped normal equations at x; None where they are singular."""
+    """Factorised undamped normal equations at x; None if they are singular."""
     system: BlockSystem
 
     @property
     def converged(self) -> bool:
-        """True when x is the optimum: it was reached, or the observations are planned there."""
+        """True if x is the optimum, or the state for which observations are planned."""
         return self.status in (Status.CONVERGED, Status.PLANNED)
 
     def require_success(self) -> Solution[X]:
@@ -72,16 +77,16 @@ class Solution(Generic[X]):
 
 
 def planned(problem: Problem[X], x: X) -> Solution[X]:
-    """The solution of observations that are to be made at x: all that is known of precision, nothing of readings.
+    """Solution of planned observations at x: it has precision, but no readings.
 
-    SingularSystemError when they would leave a direction undetermined.
+    Raises SingularSystemError if they leave a direction undetermined.
     """
     system = problem.linearise(x)
     return Solution(x, system.cost, 0, Status.PLANNED, BlockFactor(system), system)
 
 
 def solve(problem: Problem[X], start: X, *, cap: int = 30) -> Solution[X]:
-    """Minimise a sum of squares from `start` in at most `cap` iterations."""
+    """Minimum of a sum of squares from `start` in at most `cap` iterations."""
     x, damping, before, held = start, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, cap + 1):
@@ -91,21 +96,22 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30) -> Solution[X]:
             return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
         step = factor.step()
         length = _length(system, step)
-        if not damping and length < ROUNDED and length > before / 4:
+        if not damping and length < ROUNDING_LENGTH and length > before / 4:
             return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
         # The next step is as much shorter than this one as this one was than the one before.
-        sure = length * length < SURE * TOLERANCE * before < float("inf")
-        trial, before, near = problem.retract(x, step), length, length < NEAR and not damping
+        sure = length * length < CERTAIN_CONVERGENCE * TOLERANCE * before < float("inf")
+        trial, before, near = problem.retract(x, step), length, length < REUSE_LIMIT and not damping
         if near and sure:
-            system = _after(system, system.residual, step)
+            system = _system_after(system, system.residual, step)
             return Solution(trial, system.cost, iteration, Status.CONVERGED, factor, system)
         if near:
             final = _last_step(problem, trial, system, factor)
             if final is not None:
                 x, system = final
                 return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
-        ahead, whole = problem.linearise(trial), damping < SLIGHT
-        if ahead.cost <= system.cost * (1 + 1e-12) + TOLERANCE or (whole and length < ROUNDED):
+        del factor  # two designs are enough in memory
+        ahead, whole = problem.linearise(trial), damping < NEGLIGIBLE_DAMPING
+        if ahead.cost <= system.cost * (1 + 1e-12) + TOLERANCE or (whole and length < ROUNDING_LENGTH):
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
             if whole and length < TOLERANCE:
@@ -124,7 +130,7 @@ def _length(system: BlockSystem, step: Floats) -> float:
 
 
 def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: BlockFactor) -> tuple[X, BlockSystem] | None:
-    """The end of the iteration with the design of the step before, which led to x; None where that is not the end.
+    """Final point and system by a step with the previous design; None if the iteration has not converged with it.
 
     After a step of a standard deviation the design is the same to five digits: one more step with it, for the residual
     found there, ends below the tolerance.
@@ -133,16 +139,16 @@ def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: BlockFact
     step = factor.step(residual)
     if not _length(system, step) < TOLERANCE:
         return None
-    return problem.retract(x, step), _after(system, residual, step)
+    return problem.retract(x, step), _system_after(system, residual, step)
 
 
-def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
-    """The system where a step led from `residual`, by the same design."""
+def _system_after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
+    """System after a step, with the same design and the residual of the new point."""
     return BlockSystem(system.design, residual - system.design @ step, system.n_reduced)
 
 
 def _damped(system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
-    """The factor with at least `damping`, more where the normal matrix is singular."""
+    """Factor with at least `damping`, more if the normal matrix is singular, and the damping used."""
     while True:
         try:
             return BlockFactor(system, damping), damping

@@ -1,8 +1,8 @@
-"""Projector onto the residual space of a least-squares adjustment, for any vector of observations.
+"""Projector onto the residual space of a least-squares adjustment, for arbitrary vectors of observations.
 
-With A the whitened design and N = A' A, the hat matrix is H = A N^-1 A' and the projector P = 1 - H. Small systems are
-worked on with an orthonormal basis of A, large ones with the factor that the adjustment has anyway: cost and memory
-then follow the nonzeros of the design. Both answer the same questions and are compared in the tests.
+With A the whitened design and N = A' A, the hat matrix is H = A N^-1 A' and the projector P = 1 - H. Small systems use
+an orthonormal basis of A, large ones the factor of the adjustment, so that cost and memory are proportional to the
+nonzeros of the design. Tests compare the two.
 """
 
 from __future__ import annotations
@@ -19,23 +19,25 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.solve.design import Design, as_dense, column_scale
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
-DENSE = 4_000_000
-"""Designs with fewer entries get a basis: dense products are so much faster than sparse ones."""
-ORTHOGONAL = 1e-10
-"""Largest overlap of projected unit vectors with unit columns of the design; above it they are projected once more."""
-NOTHING = 1e-12
-"""Eigenvalues of a block of the hat matrix below this are zero."""
+MAX_BASIS_ENTRIES = 4_000_000
+"""Number of entries below which a design gets an orthonormal basis, because dense products are much faster."""
+MAX_OVERLAP = 1e-10
+"""Largest inner product of projected unit vectors with unit columns of the design; above it they
+are projected again.
+"""
+ZERO_EIGENVALUE = 1e-12
+"""Eigenvalue of a block of the hat matrix below which it counts as zero."""
 
 
 @dataclass(frozen=True)
 class BasisProjection:
-    """Projection by an orthonormal basis (m, u)."""
+    """Projector from an orthonormal basis (m, u) of the design."""
 
     basis: Floats
 
     @classmethod
     def of(cls, design: Design) -> BasisProjection:
-        """The projection off a design."""
+        """Projector onto the residual space of a design."""
         return cls(np.linalg.qr(as_dense(design) * column_scale(design))[0])
 
     def project(self, rows: Floats) -> Floats:
@@ -43,7 +45,7 @@ class BasisProjection:
         return rows - self.basis @ (self.basis.T @ rows)
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """Products (k, k) with each other of what is left of vectors that are `columns` (r, q) on some rows, else zero.
+        """Gram matrices (k, k) of projected vectors, which are `columns` (r, q) on some rows and zero on all others.
 
         Group i are the columns edges[i] to edges[i + 1].
         """
@@ -55,39 +57,42 @@ class BasisProjection:
         return np.einsum("mu,mu->m", self.basis, self.basis)
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows; all others are zero."""
+        """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows.
+
+        Other eigenvalues are zero.
+        """
         for rows in groups:
             part = self.basis[rows]
             yield _thin(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def extended(self, columns: Floats) -> BasisProjection:
-        """The projection off orthonormal columns (m, e) of the residual space as well."""
+        """Projector that also removes orthonormal columns (m, e) of the residual space."""
         return BasisProjection(np.hstack([self.basis, columns]))
 
 
 @dataclass(frozen=True)
 class FactorProjection:
-    """Projection by the factorised normal equations of a sparse design."""
+    """Projector from the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
     factor: BlockFactor
     added: Floats
-    """Further columns, (m, e)."""
+    """Additional columns that are removed, (m, e)."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
 
     @classmethod
     def of(cls, design: Design, factor: BlockFactor) -> FactorProjection:
-        """The projection off a design."""
+        """Projector onto the residual space of a design."""
         design = sp.csr_array(design)
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
 
     def project(self, rows: Floats) -> Floats:
-        """Residual part of vectors (m, q); projected again once where the factor's rounding shows."""
+        """Residual part of vectors (m, q); projected again if the rounding of the factor is visible."""
         return self._residual_part(rows, slice(None))
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """The same."""
+        """Gram matrices (k, k) of projected vectors, as `BasisProjection.grams`."""
         return _squares(self._residual_part(columns, rows), edges)
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
@@ -96,7 +101,7 @@ class FactorProjection:
         residual: Floats = self.design @ -self.factor.covariance_columns(inside)
         residual[rows] += columns
         again = self._transposed @ residual
-        if np.any(np.abs(again) * self._scale[:, None] > ORTHOGONAL * np.linalg.norm(columns, axis=0)):
+        if np.any(np.abs(again) * self._scale[:, None] > MAX_OVERLAP * np.linalg.norm(columns, axis=0)):
             residual -= self.design @ self.factor.covariance_columns(again)
         if self.added.shape[1]:
             residual -= self.added @ (self.added.T @ residual)
@@ -107,7 +112,7 @@ class FactorProjection:
         return self.factor.leverage() + np.einsum("me,me->m", self.added, self.added)
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """The same."""
+        """Eigenvalues and eigenvectors of the hat matrix on groups of rows, as `BasisProjection.spectra`."""
         edges = np.cumsum([0, *(len(rows) for rows in groups)])
         thick = edges[-1] == 0 or max(len(rows) for rows in groups) > self.design.shape[1] // 2
         if thick:
@@ -118,7 +123,7 @@ class FactorProjection:
             yield np.linalg.eigh(hat + self.added[rows] @ self.added[rows].T)
 
     def _spectrum(self, rows: Ints) -> tuple[Floats, Floats]:
-        """The spectrum on many rows, through the covariance of the unknowns that they touch."""
+        """Eigenvalues and eigenvectors on many rows, from the covariance of the unknowns in these rows."""
         part = self.design[rows]
         touched = np.unique(part.indices)
         whole = np.array([0, len(touched)])
@@ -131,7 +136,7 @@ class FactorProjection:
         return _thin(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def extended(self, columns: Floats) -> FactorProjection:
-        """The same."""
+        """Projector that also removes orthonormal columns (m, e), as `BasisProjection.extended`."""
         return replace(self, added=np.hstack([self.added, columns]))
 
 
@@ -139,21 +144,21 @@ Projection: TypeAlias = BasisProjection | FactorProjection
 
 
 def projection_of(system: BlockSystem, factor: BlockFactor | None) -> Projection:
-    """The projection off the design of a system; without a factor, or for a small one, by a basis."""
+    """Projector onto the residual space of a system: by a basis for a small system or without a factor."""
     rows, columns = system.design.shape
-    if factor is None or rows * columns <= DENSE:
+    if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
         return BasisProjection.of(system.design)
     return FactorProjection.of(system.design, factor)
 
 
 def _squares(columns: Floats, edges: Ints) -> list[Floats]:
-    """Products (k, k) of groups of columns with each other."""
+    """Gram matrices (k, k) of groups of columns."""
     parts = (columns[:, low:high] for low, high in pairwise(edges.tolist()))
     return [part.T @ part for part in parts]
 
 
 def _thin(root: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues other than zero, and their vectors, of root root' for a root (f, k) of fewer columns than rows."""
+    """Non-zero eigenvalues of root root', and their vectors, for a root (f, k) with fewer columns than rows."""
     values, vectors = np.linalg.eigh(root.T @ root)
-    nonzero = values > NOTHING
+    nonzero = values > ZERO_EIGENVALUE
     return values[nonzero], root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

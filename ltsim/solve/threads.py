@@ -16,12 +16,12 @@ _LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit alre
 
 @cache
 def _pools() -> ThreadpoolController:
-    """The libraries with threads of their own; looked for once, which takes milliseconds."""
+    """Controller of the threads of linear-algebra libraries, created once, which takes milliseconds."""
     return ThreadpoolController()
 
 
 def single_threaded(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with the libraries' threads limited to one: faster here, and sums keep their order."""
+    """Decorator that limits the libraries' threads to one: faster for small matrices, and sums keep their order."""
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:

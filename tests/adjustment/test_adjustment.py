@@ -165,5 +165,5 @@ def test_failure_is_a_status_until_somebody_asks():
     broken = found.solution.__class__(
         found.state, 1.0, 3, type(found.solution.status).CAPPED, None, found.solution.system
     )
-    with pytest.raises(ConvergenceError, match="cap on iterations"):
+    with pytest.raises(ConvergenceError, match="limit of iterations"):
         broken.require_success()

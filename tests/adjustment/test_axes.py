@@ -91,7 +91,7 @@ def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recordin
     [
         (lambda p: p * 1000, "1000 times as far apart"),
         (lambda p: p * [1, 1, -1], "left-handed"),
-        (lambda p: p[[3, 5, 1, 0, 2, 4]], "times as far apart|another hall"),
+        (lambda p: p[[3, 5, 1, 0, 2, 4]], "times as far apart|check the hall"),
     ],
 )
 def test_what_is_not_this_network_is_refused(recording: Recording, change: object, says: str) -> None:
@@ -123,7 +123,7 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
         assert list(found) == ["A"]
         np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
     (tmp_path / "d.csv").write_text("what;when\nA;1\n")
-    with pytest.raises(RecordError, match=r"d.csv: is no list of coordinates, expected a header"):
+    with pytest.raises(RecordError, match=r"d.csv: is not a list of coordinates, expected a header"):
         read_points(tmp_path / "d.csv", strict=False)
 
 

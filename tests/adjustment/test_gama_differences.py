@@ -326,7 +326,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     [
         ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a mark that was"),
         ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
-        ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "that is no covariance"),
+        ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "not positive definite"),
         ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "whose variances are not all above 0"),
         (
             '<obs from="A">',
@@ -336,7 +336,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
         (
             'val="1.5001" dist="0.35"',
             'val="1.5001"',
-            "no standard deviation is stated for <dh>, expected one (stdev, dist",
+            "no standard deviation is given for <dh>, expected one (stdev, dist",
         ),
         ('val="1.5001" dist="0.35"', 'val="1.5001" stdev="0"', "expected values below 1e8 m, and variances"),
         ('val="1.5001"', 'from_dh="1.5" val="1.5001"', "expected one between the marks, without from_dh and to_dh"),
@@ -399,7 +399,7 @@ def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_pat
         for name, (x, y) in places.items():
             for one in (near, found):
                 assert one.state.points[one.recording.targets.index(name), :2] == pytest.approx((x, -y), abs=2e-3)
-    with pytest.raises(NetworkError, match="or rough coordinates of all"):
+    with pytest.raises(NetworkError, match="or approximate coordinates of all"):
         adjusted(points + unknown, "A C E, Z E C, C E A")
 
 
@@ -413,7 +413,7 @@ def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> No
         inside += f'<obs from="P"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
     judged = verdict(adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))))
     assert "miss the network" not in judged.sentence
-    assert judged.sentence.startswith(("Trust the stated noise", "Noise and model agree"))
+    assert judged.sentence.startswith(("Trust the declared noise", "Noise and model agree"))
 
 
 def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path: Path) -> None:

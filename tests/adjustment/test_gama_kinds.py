@@ -249,7 +249,7 @@ def test_a_file_of_levelling_alone_says_what_it_holds(tmp_path: Path) -> None:
     levelled = '<height-differences><dh from="A" to="B" val="1.5" stdev="1"/></height-differences>'
     inside = f"<network><points-observations>{levelled}</points-observations></network>"
     (tmp_path / "levelling.gkf").write_text(f"<gama-local>{inside}</gama-local>")
-    with pytest.raises(RecordError, match="holds height differences or vectors and no pointing"):
+    with pytest.raises(RecordError, match="contains height differences or vectors without pointings"):
         read(tmp_path / "levelling.gkf")
 
 

@@ -189,7 +189,7 @@ def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> Non
     (test,) = found.rejected_references
     assert {test.name, *test.indistinguishable_from} == {"T01", "T06"}
     assert not test.excluded
-    assert "do not identify which one is in error" in warnings_of(found)[0]
+    assert "do not show which one is wrong" in warnings_of(found)[0]
 
 
 def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) -> Recording:
@@ -268,7 +268,7 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     assert {test.name: test.axes for test in found.reference_tests}["T02"] == "z"
     assert "frame of the control points" in lt.adjust(with_control(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
-    with pytest.raises(RecordError, match="states no standard deviation of T01"):
+    with pytest.raises(RecordError, match="has no standard deviation of T01"):
         with_control(recording, file)
     file.write_text("target,x_mm,y_mm,z_mm,sigma_mm\nX01,1,2,3,0.1\n")
     with pytest.raises(RecordError, match="none of the recording's targets"):

@@ -71,7 +71,7 @@ def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: 
     stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
     assert ReferenceLengths.of(stated).factor[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
     for wrong, said in (
-        (line("T01", "T02", measured_at_c="bar_k"), "no column of numbers"),
+        (line("T01", "T02", measured_at_c="bar_k"), "not a column of numbers"),
         (line("T03", "T04", measured_at_c="bar_c"), "is empty where T03 and T04"),
         (line("T01", "T02", material="brass"), "expected one of steel, invar"),
     ):

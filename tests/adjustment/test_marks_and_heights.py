@@ -40,7 +40,7 @@ def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
     assert wrong.kind == "mark"
     assert (wrong.name, wrong.indistinguishable_from, wrong.excluded) == ("S4", ("S1",), True)
     assert np.linalg.norm(wrong.error) == pytest.approx(1.5e-3, abs=0.05e-3)
-    assert "stands 1.50" in warnings_of(found)[0] or "stands 1.49" in warnings_of(found)[0]
+    assert "is 1.50" in warnings_of(found)[0] or "is 1.49" in warnings_of(found)[0]
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
 
 
@@ -52,12 +52,12 @@ def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(heigh
     assert (wrong.kind, wrong.name, wrong.is_height) == ("mark", "S4", True)
     assert wrong.error[2] == pytest.approx(-height, abs=5.0 * wrong.sigma_error[2])
     cause = ("above", "low") if height > 0 else ("below", "high")
-    assert "{} the mark of S1 (its height is stated too {})".format(*cause) in wrong.sentence
+    assert "{} the mark of S1 (its height is declared too {})".format(*cause) in wrong.sentence
     assert not found.gross.any()
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
     said = [item.sentence for item in check(recording).items if not item.passed]
     assert len(said) == 1
-    assert "its height is stated too" in said[0]
+    assert "its height is declared too" in said[0]
     assert float(said[0].split()[3]) == pytest.approx(1e3 * abs(height), abs=0.05)
 
 
@@ -95,7 +95,7 @@ def test_a_point_under_another_name_is_no_exchange() -> None:
     booked, meant = (recording.targets[t] for t in ((target[12] + 5) % 28, target[12]))
     target[12] = (target[12] + 5) % 28
     (said,) = warnings_of(adjust(recording.replace(target=target)))
-    assert said.startswith(f"At station S1 what is booked as {booked} (row 13) is {meant}")
+    assert said.startswith(f"At station S1 the pointing to {booked} (row 13) was to {meant}")
 
 
 def test_a_target_that_one_set_up_calls_otherwise_is_told_and_neighbours_are_not() -> None:

@@ -36,7 +36,7 @@ def test_a_ring_of_210_set_ups_with_all_statistics():
 def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
     recording = network("ring", 60, 106, 960)
     sparse = adjust(recording)
-    monkeypatch.setattr(design, "DENSE", 10**9)
+    monkeypatch.setattr(design, "MAX_DENSE_ENTRIES", 10**9)
     dense = adjust(recording)
     np.testing.assert_allclose(sparse.state.points, dense.state.points, atol=1e-9)
     np.testing.assert_allclose(sparse.target_covariance, dense.target_covariance, rtol=1e-5, atol=1e-18)

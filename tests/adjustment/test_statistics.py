@@ -187,7 +187,7 @@ def test_the_verdict_says_which_test_to_trust():
     assert verdict(clean).case is Agreement.CLEAN
     hidden = adjust(spoiled(clean.recording, [(50, 1)], [9.0]), TRACKER)
     assert verdict(hidden).case is Agreement.HIDDEN_ERRORS
-    assert "one reading is out of place although" in verdict(hidden).sentence
+    assert "one reading is an outlier although" in verdict(hidden).sentence
     single = adjust(spoiled(clean.recording, [(50, 1), (90, 0)], [60.0, 40.0]), TRACKER)
     assert verdict(single).case is Agreement.SINGLE_ERRORS
     assert len(single.outliers()) >= 2

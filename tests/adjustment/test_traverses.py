@@ -63,5 +63,5 @@ def test_an_open_traverse_is_solved_from_any_order(tmp_path: Path, ends: str) ->
 
 def test_a_leg_without_a_length_is_named(tmp_path: Path) -> None:
     traverse(tmp_path / "a.gkf", skipped=(4, 3))
-    with pytest.raises(NetworkError, match=r"in plan nothing tells the length of the lines 3-4$"):
+    with pytest.raises(NetworkError, match=r"no reading determines the horizontal length of the lines 3-4$"):
         lt.adjust(read(tmp_path / "a.gkf"))

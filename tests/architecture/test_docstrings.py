@@ -26,7 +26,9 @@ PREPOSITIONS = "after|among|at|before|beside|between|by|for|from|in|of|on|over|p
 """Words that begin the description of a noun that is not there."""
 UNIT = r"\s*(?:\[[^]]*\]\s*)?"
 """Unit ahead of a description."""
-NO_NOUN = re.compile(rf"{UNIT}({PRONOUNS}|{CLAUSES}|{PREPOSITIONS})(?![\w-])", re.IGNORECASE)
+SHAPE = r"\("
+"""Shape ahead of a description."""
+NO_NOUN = re.compile(rf"{UNIT}(?:{SHAPE}|({PRONOUNS}|{CLAUSES}|{PREPOSITIONS})(?![\w-]))", re.IGNORECASE)
 
 
 def strings(tree: ast.Module) -> Iterator[tuple[int, str]]:
@@ -53,7 +55,7 @@ def test_docstrings_begin_with_what_they_describe() -> None:
 
 
 @pytest.mark.parametrize(
-    "start", ["What it is.", "Of the mean.", "[m] From one end.", "One test.", "Its name.", "None."]
+    "start", ["What it is.", "Of the mean.", "[m] From one end.", "One test.", "Its name.", "None.", "(n, 3) Points."]
 )
 def test_a_missing_noun_is_an_offence(start: str) -> None:
     assert NO_NOUN.match(start)

@@ -1,4 +1,4 @@
-"""The paper's objective: its matrix form against eq. 9 written out, its solvers, and its stated uncertainty."""
+"""The paper's objective: its matrix form against eq. 9 written out, its solvers, and its declared uncertainty."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def test_null_space_of_the_paper_chain_is_named(make) -> None:
     without_effect |= {f"T.e{axis}_{k}" for axis in "XYZ" for k in range(3)}
     assert without_effect <= alone
     assert {"J1.eY_c", "J1.dY_c"} <= alone  # azimuth index and height: the pose's
-    assert all("only a tighter guarantee" in c.cure for c in silent)
+    assert all("only a tighter specification" in c.cure for c in silent)
 
 
 def test_both_constructions_agree_on_the_targets_of_two_faces(make, drawn) -> None:
@@ -143,7 +143,7 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
     at = (3 * chosen[:, None] + np.arange(3)).ravel()
     assert np.trace(inner[np.ix_(at, at)]) < np.trace(whole[np.ix_(at, at)])
     assert np.trace(inner) > np.trace(whole)
-    with pytest.raises(ModelError, match="three off one line"):
+    with pytest.raises(ModelError, match="three that are not on one line"):
         adjustment.in_inner_datum(names[:2])
 
 
@@ -224,13 +224,13 @@ def test_errors_of_an_uncalibrated_instrument_move_no_station_in_a_plain_adjustm
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     found = lt.adjust(recording)
     assert found.verdict is not None
-    assert "moves while it measures" not in found.verdict.sentence
+    assert "moves during its measurement" not in found.verdict.sentence
     rows = recording.station == 2
     share = (recording.time[rows] - recording.time[rows].min()) / np.ptp(recording.time[rows])
     readings, sunk = recording.readings.copy(), from_polar(recording.readings[rows])
     readings[rows] = to_polar(sunk + share[:, None] * [0.0, 0.0, 2e-3])
     moved = lt.adjust(recording.with_readings(readings))
     assert moved.verdict is not None
-    size = re.match(r"Station S3 moves while it measures, by (\S+) \+- 5", moved.verdict.sentence)
+    size = re.match(r"Station S3 moves during its measurement, by (\S+) \+- 5", moved.verdict.sentence)
     assert size is not None
     assert float(size[1]) == pytest.approx(2000.0, abs=25.0)  # errors of the instrument among them

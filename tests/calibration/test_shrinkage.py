@@ -89,7 +89,7 @@ def test_a_recording_that_tells_nothing_corrects_nothing_and_says_so() -> None:
     found = lt.calibrate(recording.with_readings(recording.readings + recording.sigma() * noise), advise=False)
     assert found.correction is not None
     assert np.linalg.norm(found.applied / SIGMA) < 0.2 * np.linalg.norm(found.values / SIGMA)
-    assert any("make new points worse" in s for s in found.correction.sentences)
+    assert any("increase the errors of new points" in s for s in found.correction.sentences)
 
 
 def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
@@ -159,6 +159,8 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     found = lt.calibrate(recording.with_readings(readings), advise=False)
     assert found.correction is not None
     assert found.correction.not_applied
+    words = found.correction.not_applied[0].replace("-", " ")
+    assert any("predicted better without the term" in s and words in s for s in found.correction.sentences)
     at = [found.names.index(name) for name in found.correction.not_applied]
     assert np.all(found.applied[0, at] == 0.0)
     assert np.any(found.values[0, at] != 0.0)

@@ -83,8 +83,8 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     readings[16, 0] += 30e-6
     one = calibrate_network(recording.with_readings(readings), advise=False)
     said = one.content()["verdict"]
-    assert said["case"] == "single errors the sum hides"
-    assert said["sentence"].startswith("Trust the test of single readings: one reading is out of place although")
+    assert said["case"] == "single errors hidden in the sum"
+    assert said["sentence"].startswith("Trust the test of single readings: one reading is an outlier although")
     assert one.fit.p_value > 0.01
     quiet = recording.with_readings(recording.readings)
     noise = recording.setup.instrument.noise
@@ -161,7 +161,7 @@ def test_a_datum_that_cannot_be_is_refused(make) -> None:
     recording = make(np.zeros(16))
     with pytest.raises(ModelError, match="target of the datum called 'T99'"):
         lt.adjust(recording, datum=("T99", "T01", "T02"))
-    with pytest.raises(ModelError, match="at least three off one line"):
+    with pytest.raises(ModelError, match="at least three that are not on one line"):
         lt.adjust(recording, datum=("T01", "T02"))
     places = [(0, (1.0, 0.02, 0.2)), (3, (1.0, 0.02, 1.6)), (23, (0.02, 4.9, 5.6))]
     known = {f"T{i + 1:02d}": Target(known_mm=tuple(1e3 * v for v in p), known_sigma_mm=0.01) for i, p in places}
@@ -185,7 +185,7 @@ def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     recording = recorded(shared, "cern-lgc-trackers/20697_V2_Dirk_ESA_experimental.lgc")
     plain = lt.adjust(recording)
     assert plain.verdict is not None
-    assert "fails only because 4 readings are out of place" in plain.verdict.sentence
+    assert "fails only because 4 readings are outliers" in plain.verdict.sentence
     found = lt.adjust(recording, robust=True, noise_from_data=True)
     left = {o.row for o in found.outliers if o.excluded}
     assert {42, 199, 361, 362, 348, 363} <= left

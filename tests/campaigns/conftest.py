@@ -8,13 +8,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.draws import EffectLaw, TrialDraws
+from ltsim.simulation.draws import EffectDistribution, TrialDraws
 from tests.campaigns.small import FILE
 
 
@@ -34,7 +34,7 @@ def truth_of(
     construction: Construction | None = None,
     *,
     faces: int = 1,
-    effects: tuple[EffectLaw, ...] = (),
+    effects: tuple[EffectDistribution, ...] = (),
     scale: float = 1.0,
 ) -> CellTruth:
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
@@ -61,8 +61,8 @@ def make_truth() -> Callable[..., CellTruth]:
 
 
 @pytest.fixture(scope="session")
-def engine() -> Engine:
-    return Engine(truth_of(), misalignment())
+def engine() -> BatchCalibrator:
+    return BatchCalibrator(truth_of(), misalignment())
 
 
 @pytest.fixture

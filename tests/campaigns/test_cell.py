@@ -19,7 +19,7 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Mistake, NoiseEffect
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.draws import Normal
+from ltsim.simulation.draws import NormalSource
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
 from ltsim.simulation.simulator import measure
@@ -116,13 +116,13 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
 
 def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     """a8a5717 drew glass of negative thickness in half of the trials of a campaign."""
-    upward = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.positive for p in k.parameters)]
-    assert {"window", "noise-level"} <= {kind.name for kind in upward}
-    for kind in upward:
+    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.positive for p in k.parameters)]
+    assert {"window", "noise-level"} <= {kind.name for kind in is_nonnegative}
+    for kind in is_nonnegative:
         truth = truth_of(with_effect(kind.name), 6)
-        drawn = truth.population.draw(Normal(6, np.arange(1024))).amounts[0]
+        drawn = truth.population.draw(NormalSource(6, np.arange(1024))).amounts[0]
         for k, parameter in enumerate(truth.effects[0].effect.parameters):
-            if truth.effects[0].upward[k]:
+            if truth.effects[0].is_nonnegative[k]:
                 assert np.all(drawn[k] >= 0)
                 assert kstest(drawn[k] / parameter.prior_sigma, "halfnorm").pvalue > 1e-3
 
@@ -162,7 +162,7 @@ def test_geometry_belongs_to_its_key() -> None:
 
 def test_variance_below_zero_is_refused_by_both() -> None:
     given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
-    with pytest.raises(SetupError, match="takes away more noise than there is"):
+    with pytest.raises(SetupError, match="makes a variance of the noise negative"):
         truth_of(given, 7).draw(7, 0)
-    with pytest.raises(SetupError, match="takes away more noise than there is"):
+    with pytest.raises(SetupError, match="makes a variance of the noise negative"):
         measure(fieldwork(given, 7), 7)

@@ -90,7 +90,9 @@ def test_workers_that_end_at_the_same_shard_are_a_sentence(tmp_path: Path, monke
     monkeypatch.setattr(campaign, "Parallel", ended)
     file = tmp_path / "many.toml"
     file.write_text(FILE)
-    with pytest.raises(SetupError, match=r"several workers were killed at the same shard.*kept: go on with --resume"):
+    with pytest.raises(
+        SetupError, match=r"several workers were killed at the same shard.*kept; continue with --resume"
+    ):
         run_campaign(file, tmp_path / "out", workers=Workers(backend="dask", scheduler="tcp://127.0.0.1:1"))
 
 

@@ -10,14 +10,14 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.criteria import evaluate
-from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Engine, recording_of
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.engine import FAILED, FULL, STATUSES, BatchCalibrator, recording_of
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.truth import BLOCK, CellTruth
 from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.model.construction import dh, misalignment
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import EffectLaw
+from ltsim.simulation.draws import EffectDistribution
 from tests.networks import share_removed, target_error
 
 
@@ -51,7 +51,7 @@ class Bent(Drift):
 
 @pytest.mark.parametrize("faces", [1, 2])
 def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTruth]) -> None:
-    engine = Engine(make_truth(faces=faces), misalignment())
+    engine = BatchCalibrator(make_truth(faces=faces), misalignment())
     block = engine.truth.draw(11, 2)
     found = engine.calibrate(block)
     assert np.all(found.status == 0)
@@ -60,14 +60,14 @@ def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTrut
 
 
 def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., CellTruth]) -> None:
-    engine = Engine(make_truth(scale=10.0), misalignment())
+    engine = BatchCalibrator(make_truth(scale=10.0), misalignment())
     block = engine.truth.draw(11, 0)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in range(0, BLOCK, 64)) < 1e-3
 
 
 def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
-    engine = Engine(make_truth(), dh())
+    engine = BatchCalibrator(make_truth(), dh())
     block = engine.truth.draw(12, 0)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in (0, 100)) < 1e-3
@@ -75,8 +75,8 @@ def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., 
 
 def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     sigma = np.array([10e-6, 10e-6]) / 3600
-    truth = make_truth(effects=(EffectLaw(Drift(), np.zeros(2), sigma),))
-    engine = Engine(truth, misalignment(), (Drift(),))
+    truth = make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), sigma),))
+    engine = BatchCalibrator(truth, misalignment(), (Drift(),))
     block = truth.draw(13, 0)
     fit = engine.network.fit(block.deviation, block.gauge_error)
     found = engine.calibrate(block)
@@ -89,7 +89,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) 
 
 def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
-    engine = Engine(truth, misalignment(), (GaugeScale(),))
+    engine = BatchCalibrator(truth, misalignment(), (GaugeScale(),))
     block = truth.draw(20, 0)
     block.gauge_error[:] += 1e-4 * np.array([d.length_mm * 1e-3 for d in truth.recording.gauge.distance])[:, None]
     found = engine.calibrate(block)
@@ -98,7 +98,7 @@ def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Calla
     assert scale.mean() == pytest.approx(-1e-4, rel=0.02)
 
 
-def test_chi2_and_z_scores_are_what_the_covariance_says(engine: Engine) -> None:
+def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator) -> None:
     blocks = [engine.truth.draw(14, k) for k in range(4)]
     found = [engine.calibrate(block) for block in blocks]
     chi2 = np.concatenate([f.chi2 for f in found])
@@ -110,7 +110,7 @@ def test_chi2_and_z_scores_are_what_the_covariance_says(engine: Engine) -> None:
     assert np.all(np.abs(z.var(axis=1) - 1) < 4.5 * np.sqrt(2 / len(chi2)))
 
 
-def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: Engine) -> None:
+def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibrator) -> None:
     block = engine.truth.draw(15, 0)
     block.deviation[17, 0, 3] += 5e-3
     found = engine.calibrate(block)
@@ -121,7 +121,7 @@ def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: Engine) -> 
     assert np.array_equal(found.values[:, :, 3], single.state.instrument)
 
 
-def test_trial_that_nothing_solves_is_a_failed_row(engine: Engine) -> None:
+def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> None:
     block = engine.truth.draw(15, 1)
     block.deviation[:, :, 9] = np.nan
     found = engine.calibrate(block)
@@ -130,10 +130,10 @@ def test_trial_that_nothing_solves_is_a_failed_row(engine: Engine) -> None:
     assert np.isfinite(np.delete(found.values, 9, axis=2)).all()
 
 
-def test_judge_equals_evaluation_of_single_recordings(engine: Engine) -> None:
+def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -> None:
     truth = engine.truth
     block = truth.draw(16, 0)
-    found, judge = engine.calibrate(block), Judge(truth)
+    found, judge = engine.calibrate(block), TrialEvaluator(truth)
     shared = judge.before(block)
     columns = shared | judge.after(block, found, engine.construction)
     for k in (0, 77, 255):
@@ -158,7 +158,7 @@ def test_judge_equals_evaluation_of_single_recordings(engine: Engine) -> None:
 
 
 def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -> None:
-    plain, drifting = make_truth(), make_truth(effects=(EffectLaw(Drift(), np.zeros(2), np.full(2, 1e-9)),))
+    plain, drifting = make_truth(), make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), np.full(2, 1e-9)),))
     one, other = plain.draw(17, 5), drifting.draw(17, 5)
     assert np.array_equal(one.values, other.values)
     assert np.array_equal(one.gauge_error, other.gauge_error)
@@ -169,7 +169,7 @@ def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -
 
 def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., CellTruth]) -> None:
     for effect in (Drift(), Bent()):
-        truth = make_truth(effects=(EffectLaw(effect, np.full(2, 2e-9), np.full(2, 1e-9)),))
+        truth = make_truth(effects=(EffectDistribution(effect, np.full(2, 2e-9), np.full(2, 1e-9)),))
         silent = replace(
             truth,
             population=replace(truth.population, noise=np.full((*truth.recording.readings.shape,), 1e-15)),
@@ -187,7 +187,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
     assert np.abs(steps / 1e-7 - np.round(steps / 1e-7)).max() < 1e-6
 
 
-def test_stated_lengths_carry_their_error_to_every_calibrator(engine: Engine) -> None:
+def test_stated_lengths_carry_their_error_to_every_calibrator(engine: BatchCalibrator) -> None:
     block = engine.truth.draw(19, 0)
     recording = recording_of(engine.truth, block, 4)
     before, after = engine.truth.recording.gauge.distance, recording.gauge.distance

@@ -9,13 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.engine import BatchCalibrator
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import load_campaign
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
-from ltsim.reports.sections.campaign import MOST_ROWS
+from ltsim.reports.sections.campaign import MAX_ROWS
 
 FILE = """
 format = "ltsim-campaign/1"
@@ -68,7 +68,11 @@ def test_a_grown_campaign_takes_what_is_missing(
     file.write_text(FILE.replace(*change))
     calls = {name: list[int]() for name in ("calibrate", "difference", "after")}
     with monkeypatch.context() as counted:
-        for owner, name, size in ((Engine, "calibrate", len), (Engine, "difference", int), (Judge, "after", id)):
+        for owner, name, size in (
+            (BatchCalibrator, "calibrate", len),
+            (BatchCalibrator, "difference", int),
+            (TrialEvaluator, "after", id),
+        ):
             plain = getattr(owner, name)
 
             def noted(*given: Any, plain: Any = plain, done: list[int] = calls[name], size: Any = size) -> Any:
@@ -130,7 +134,7 @@ def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.long
 def test_many_cells_are_told_by_their_factors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "many.toml"
-    levels = [1 + k / 100 for k in range(MOST_ROWS // 2 + 1)]
+    levels = [1 + k / 100 for k in range(MAX_ROWS // 2 + 1)]
     grid = f'[grid]\n"instrument.noise_factor" = {levels}\n"work.faces" = [1, 2]\n'
     file.write_text(FILE.partition("[grid]")[0].replace("trials = 24", "trials = 2") + grid)
     assert run(["campaign", str(file)]) == 0
@@ -144,7 +148,7 @@ def test_status_one_says_which_cell_even_when_quiet(
 ) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(FILE.replace("verify = 0", "verify = 1").replace("[1.0, 2.0]", "[2.0]"))
-    monkeypatch.setattr("ltsim.campaigns.engine.Engine.difference", lambda *_: 0.01)
+    monkeypatch.setattr("ltsim.campaigns.engine.BatchCalibrator.difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
     said = capsys.readouterr().err
     assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "limit 0.001" in said

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.evaluation.clouds import on_points
-from ltsim.campaigns.judge import MICRO, Judge
+from ltsim.campaigns.judge import MICRO, TrialEvaluator
 from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.truth import truth_of
@@ -35,7 +35,7 @@ def rows(scenario: Scenario) -> dict[str, list[object]]:
 
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
     truth = truth_of(with_far_station(levelled=True), 0, "campaign", 2)
-    judge, block = Judge(truth), truth.draw(0, 2, 1)
+    judge, block = TrialEvaluator(truth), truth.draw(0, 2, 1)
     assert judge.visible.sum(axis=1)[-1] == 2 and judge.fitted.tolist() == [True] * 5 + [False]
     assert not judge.comparable
     recording, total = truth.recording, []
@@ -64,7 +64,7 @@ def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
 
 def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
     truth = truth_of(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
-    judge, draw = Judge(truth), np.random.default_rng(5)
+    judge, draw = TrialEvaluator(truth), np.random.default_rng(5)
     points = 1e-5 * draw.standard_normal((*truth.state.points.shape, 4))
     whole = judge.target_error(points)
     lost = points.copy()

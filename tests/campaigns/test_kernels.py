@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.compiled import compiled
-from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.kernels import points_of
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.program import ChainProgram
@@ -64,7 +64,7 @@ def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTr
     assert sorted(program.fed) == list(range(16))
 
 
-def test_gradient_is_that_of_the_cost(engine: Engine) -> None:
+def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     """Along random directions, by differences of the cost, at a state three sigma away in every unknown."""
     network: BatchNetwork = engine.network
     block = engine.truth.draw(3, 0)

@@ -6,7 +6,7 @@ import numpy as np
 
 import ltsim as lt
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.truth import truth_of
 
 BARS = lt.scenario(
@@ -27,7 +27,7 @@ BARS = lt.scenario(
 def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     truth = truth_of(BARS, 4, "campaign")
     block = truth.draw(4, 0)
-    engine = Engine(truth, truth.construction)
+    engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in (0, 100)) < 2e-4
     z = ((found.values - block.values) / found.sigma[:, :, None])[0]

@@ -124,7 +124,7 @@ def test_what_calibrate_fits_is_taken_out_of_what_it_improves() -> None:
 
 def test_an_effect_of_the_session_is_checked() -> None:
     assert SlowWarp in CATALOGUE and CATALOGUE.of_session == (SlowWarp,)
-    with pytest.raises(ModelError, match="no class derived from"):
+    with pytest.raises(ModelError, match="not a class derived from"):
         lt.add_effect(int)
     with pytest.raises(ModelError, match="has an effect 'head-sag' already"):
         lt.add_effect(type("Mine", (SlowWarp,), {"name": "head-sag"}))

@@ -8,8 +8,8 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, stacks
-from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.engine import BatchCalibrator
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.core.errors import NetworkError, SetupError
@@ -29,7 +29,7 @@ def truth() -> CellTruth:
 
 
 def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth) -> None:
-    engine, block = Engine(truth, truth.construction), truth.draw(4, 0)
+    engine, block = BatchCalibrator(truth, truth.construction), truth.draw(4, 0)
     found = engine.calibrate(block)
     assert (found.status == 0).mean() > 0.95
     assert np.isnan(truth.readings(block, 0)[:, 1:]).all()
@@ -42,7 +42,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth
     points = truth.state.points
     moved = np.stack([on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)])
     assert np.sqrt(np.mean((moved / engine.sigma_targets) ** 2)) == pytest.approx(1.0, abs=0.06)
-    columns = Judge(truth).before(block)
+    columns = TrialEvaluator(truth).before(block)
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
 
 
@@ -59,7 +59,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     assert fast.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
     known = np.sqrt(np.diag(np.linalg.inv(fast.information[0]))) * slow.prior_sigma
     np.testing.assert_allclose(known, slow.instrument_sigma, rtol=1e-6)
-    found = Engine(truth, built).calibrate(truth.draw(5, 0))
+    found = BatchCalibrator(truth, built).calibrate(truth.draw(5, 0))
     points = truth.state.points
     errors = [on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)]
     achieved = np.sqrt(np.mean(np.sum(np.square(errors), axis=2)))
@@ -74,7 +74,7 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
     reducer, slots = LayoutScorer(lost), np.arange(len(seen))
     out = reducer.reduce(reducer.blocks(lost.position, lost.yaw, slots, seen), slots[None], targets=True)
     assert not np.isfinite(out.information).any()
-    with pytest.raises(NetworkError, match="do not place target T01"):
+    with pytest.raises(NetworkError, match="do not determine target T01"):
         LayoutInformation.of(lost)
 
 
@@ -94,7 +94,7 @@ def test_each_trial_may_have_its_own_places(truth: CellTruth) -> None:
     ((stack, numbers),) = stacks(own)
     block = stack.draw_trials(4, numbers)
     calibrator = StackCalibrator.of(Method(method="network"), stack)
-    assert isinstance(calibrator.alone(0), Engine)
+    assert isinstance(calibrator.alone(0), BatchCalibrator)
     found = calibrator.calibrate(block, np.arange(6))
     assert (found.status == 0).all()
     assert calibrator.difference(block, 2, found) < 0.02

@@ -18,7 +18,7 @@ import ltsim as lt
 from ltsim.campaigns.statistics import Statistics
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.notation import number
-from ltsim.reports.document import Grid
+from ltsim.reports.document import TableBlock
 from ltsim.reports.figures.campaign import swept
 from ltsim.reports.figures.campaign_factors import cell_words
 from ltsim.reports.sections.campaign import campaign_section
@@ -94,7 +94,7 @@ def test_a_statistic_of_a_function_has_the_interval_of_its_trials(sweep: Any) ->
 
 def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
     assert lt.read(sweep.folder) == sweep
-    with pytest.raises(SetupError, match=r"only opened: to run it, give .*campaign\.toml"):
+    with pytest.raises(SetupError, match=r"rows of a campaign; to run it, give .*campaign\.toml"):
         lt.campaign(sweep.folder, changes={"trials": 3})
     with pytest.raises(SetupError, match=r"^the campaign: unknown key trialz; did you mean trials"):
         lt.campaign({"trialz": 3}, out=tmp_path / "rows")
@@ -181,7 +181,7 @@ def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
             lt.recover("paper-workshop", trials=trials)
     with pytest.raises(SetupError, match="jobs is 0, expected a whole number, 1 to 256"):
         lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
-    with pytest.raises(ModelError, match="one injection at least"):
+    with pytest.raises(ModelError, match="at least one injection"):
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 
@@ -195,7 +195,7 @@ def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
 
 def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
     blocks = campaign_section(sweep.folder).blocks
-    tables = {block.title: block for block in blocks if isinstance(block, Grid)}
+    tables = {block.title: block for block in blocks if isinstance(block, TableBlock)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
         floors = [row[-2] for row in tables[title].rows]
         means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]

@@ -43,7 +43,7 @@ def test_a_shard_of_another_campaign_is_refused_without_digests(file: Path, tmp_
     foreign = Store(tmp_path / "other").shard_path(0, 0).read_bytes()
     Store(tmp_path / "out").shard_path(0, 0).write_bytes(foreign)
     (tmp_path / "out" / "rows.sha256").unlink()
-    with pytest.raises(SetupError, match="is of another campaign"):
+    with pytest.raises(SetupError, match="belongs to another campaign"):
         Results(tmp_path / "out")
 
 
@@ -80,7 +80,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
     run_campaign(file, out)
     assert (out / "parts" / "box.stl").read_bytes() == cad.read_bytes()
     trimesh.creation.box([0.2, 0.1, 0.1]).export(cad)
-    with pytest.raises(SetupError, match="changed since this campaign began"):
+    with pytest.raises(SetupError, match="changed since this campaign started"):
         run_campaign(file, out, resume=True)
     cad.unlink()
     assert run_campaign(out / "campaign.toml", out, resume=True).existing == 2
@@ -203,4 +203,4 @@ def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeyp
     (tmp_path / "out" / "manifest.json").write_text(json.dumps(content))
     monkeypatch.setattr("ltsim.campaigns.campaign.commit", lambda: "0123abc")
     notes = run_campaign(file, tmp_path / "out", resume=True).notes
-    assert any("begun with an installed ltsim, continued with commit 0123abc of ltsim" in note for note in notes)
+    assert any("started with an installed ltsim, continued with commit 0123abc of ltsim" in note for note in notes)

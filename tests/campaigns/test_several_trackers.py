@@ -10,7 +10,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.campaigns.columns import labels_of, parameter_columns
-from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.recovery_trials import from_prior
 from ltsim.campaigns.truth import truth_of
 from ltsim.core.randomness import stream
@@ -28,7 +28,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
             drawn = stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
             drawn[0] = stream(4, "instrument", name, parameter).standard_normal()
             np.testing.assert_array_equal(block.values[i, k], truth.population.sigma[i, k] * drawn)
-    engine = Engine(truth, truth.construction)
+    engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
     z = (found.values - block.values) / found.sigma[:, :, None]
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2

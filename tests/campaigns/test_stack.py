@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.calibrators import StackCalibrator, stacks
-from ltsim.campaigns.engine import Calibrated, Engine
-from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.engine import BatchCalibrator, Calibrated
+from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.physics.model.construction import misalignment
@@ -31,12 +31,12 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     ((stack, numbers),) = stacks(truths)
     block = stack.draw_trials(8, numbers)
     calibrator = StackCalibrator.of(Method(), stack)
-    found, together = calibrator.calibrate(block, np.arange(TRIALS)), Judge(stack)
+    found, together = calibrator.calibrate(block, np.arange(TRIALS)), TrialEvaluator(stack)
     columns = together.after(block, found, misalignment())
     assert np.all(found.status == 0)
     assert len(np.unique(stack.rows, axis=1).T) == TRIALS
     for k, truth in truths.items():
-        own, engine, judge = truth.draw(8, k, 1), Engine(truth, misalignment()), Judge(truth)
+        own, engine, judge = truth.draw(8, k, 1), BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
         assert np.abs(own.deviation - block.alone[k].deviation).max() < 1e-12
         theirs = engine.calibrate(own)
         assert found.sigma[:, :, k] == pytest.approx(theirs.sigma, rel=1e-9)

@@ -56,7 +56,7 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any], list[str], str]] = [
      "scheduler is host, which needs"),
     (lt.campaign, {"source": SMALL, "out": "x", "changes": 3}, [], "changes is 3, expected a mapping"),
     (lt.campaign, {"source": SMALL, "out": f"{__file__}"}, ["campaign", "a.toml", "--out", f"{__file__}"],
-     "this is a file, expected a folder to write to"),
+     "the path is a file, expected a folder to write to"),
     (lt.recover, {"source": "paper-workshop", "jobs": 0}, ["recover", "paper-workshop", "-j0"], "jobs is 0, expected"),
     (lt.view, {"source": ""}, ["view", "", "--png=a.png"], "the source is '', expected the name of a built-in one"),
     (lt.view, {"source": None}, [], "the source is None, expected the name of a built-in one"),

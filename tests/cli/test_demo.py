@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.cli.simulate import HIDDEN, STEPS, calibrated, simulated
+from ltsim.cli.simulate import DEMO_EFFECTS, STEPS, calibrated, simulated
 from ltsim.core.randomness import stream
 from ltsim.physics.effects import find_effect
 
@@ -26,11 +26,11 @@ def test_first_steps(tmp_path: Path) -> None:
 
 
 def test_hidden_effects_exist_with_their_parameters() -> None:
-    for entry in HIDDEN:
+    for entry in DEMO_EFFECTS:
         known = {p.name for p in find_effect(entry["name"]).parameters}
         assert set(entry["values"]) <= known
-    drawn = {int(stream(seed, "demo", "hidden").integers(len(HIDDEN))) for seed in range(40)}
-    assert drawn == set(range(len(HIDDEN)))
+    drawn = {int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS))) for seed in range(40)}
+    assert drawn == set(range(len(DEMO_EFFECTS)))
 
 
 @pytest.mark.long

@@ -31,7 +31,7 @@ def source(tmp_path_factory) -> Path:
 def test_robust_and_noise_are_printed_and_written(source: Path, tmp_path: Path, capsys) -> None:
     assert run(["calibrate", str(source), "--robust", "--noise-from-data", "--out", str(tmp_path / "cal")]) == 0
     text = capsys.readouterr().out
-    assert "the noise was estimated from the same readings, so that the global test does not apply" in text
+    assert "the noise was estimated from the same readings, so the global test does not apply" in text
     assert "2 readings did not fit and were left out" in text
     assert "Noise estimated from the readings" in text
     rows = [line.split() for line in text.splitlines()]

@@ -63,7 +63,7 @@ def test_a_junit_file_that_cannot_be_written_is_said_before_any_trial(capsys, mo
 
 def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -> None:
     assert run(["recover", "paper-workshop-re-aimed", "--construction", "dh", "--trials", "2"]) == 2
-    assert "recover with its own construction" in capsys.readouterr().err
+    assert "recover with the same construction" in capsys.readouterr().err
 
 
 @pytest.mark.long

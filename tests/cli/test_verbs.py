@@ -82,7 +82,7 @@ def test_bad_usage_is_one_sentence_and_status_2(
 def test_calibrate_says_what_was_found_and_what_was_not(workplace: Path, capsys) -> None:
     assert run(["calibrate", str(workplace / "rec")]) == 0
     text = capsys.readouterr().out
-    assert "the readings agree with the model and the stated noise (chi2 " in text
+    assert "the readings agree with the model and the declared noise (chi2 " in text
     assert "degrees of freedom: 318" in text
     assert "beam-tilt" in text
     assert "Not determined by this recording" in text

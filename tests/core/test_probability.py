@@ -33,7 +33,7 @@ def test_no_chance_is_a_dash() -> None:
 @pytest.mark.parametrize(
     ("verb", "factor", "words"),
     [
-        ("adjust", 10.0, "smaller than the stated noise"),
+        ("adjust", 10.0, "smaller than the declared noise"),
         ("adjust", 0.1, "do not agree"),
         pytest.param("calibrate", 0.1, "do not agree", marks=pytest.mark.long),
     ],

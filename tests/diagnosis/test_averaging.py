@@ -7,10 +7,10 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, first_order_shift, model_weights, safe_share
+from ltsim.diagnosis.averaging import HARM, WORSE, averaged, first_order_change, model_weights, safe_share
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.geometry.rigid import less_rigid
+from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.regressors import smooth
 from ltsim.physics.laws.responses import RESPONSES
@@ -50,13 +50,17 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.points
     basis = points - points.mean(axis=0)
+    linear = -case.searcher.space.moved_targets(first_order_change(case.searcher, found))
     expected, shift = (
-        less_rigid(change.reshape(-1, 1), basis, baseline.problem.free)
-        for change in (fitted.adjustment.state.points - points, first_order_shift(case.searcher, found))
+        without_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free)
+        for change in (fitted.adjustment.state.points - points, linear)
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
-    targets = averaged_targets(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    targets, change = averaged(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    refitted = np.zeros_like(change)
+    refitted[case.use] = first_order_change(case.searcher, found)[: int(case.use.sum())] * case.sigma[case.use]
+    assert np.linalg.norm((refitted + change) / case.sigma) < np.linalg.norm(refitted / case.sigma)
     assert np.linalg.norm(targets.points - points) < np.linalg.norm(expected)
 
 
@@ -67,7 +71,7 @@ def test_noise_moves_no_target() -> None:
     law = Hypothesis(Law((), (), RESPONSES["elevation"][0], smooth("time")), 0.0, 5.0, "unknown")
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
     ranking = Ranking((noise, law), 8.0)
-    weights, shifts = model_weights(case.searcher, case.searcher.empty, law, ranking, 1.0)
+    weights, changes = model_weights(case.searcher, case.searcher.empty, law, ranking, 1.0)
     assert weights.sum() == pytest.approx(1.0)
-    moving = np.any(shifts != 0.0, axis=(1, 2))
+    moving = np.any(changes != 0.0, axis=1)
     assert weights[moving].sum() == pytest.approx(np.exp(5.0) / (1.0 + 20.0 * np.exp(5.0)), rel=1e-6)

@@ -350,7 +350,7 @@ def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
 
 @pytest.mark.long
 def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
-    """Errors are told in the stated noise: less of it is found, and nothing is predicted worse."""
+    """Errors are told in the declared noise: less of it is found, and nothing is predicted worse."""
     recording, state = workshop(19)
     exact = MeasurementModel(recording, misalignment()).predict(state)
     readings = exact + 0.6 * (recording.readings - exact)

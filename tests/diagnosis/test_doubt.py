@@ -1,4 +1,4 @@
-"""What comes before a law: wrong readings, noise that is not as stated; and a cause that nobody listed."""
+"""What comes before a law: wrong readings, noise that is not as declared; and a cause that nobody listed."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def test_a_finding_that_few_readings_carry_names_them():
     recording = changed(workshop(2)[0], 40, 0, 7.5)
     (found,) = diagnose(recording).findings
     station, target = recording.stations[recording.station[40]], recording.targets[recording.target[40]]
-    assert f"Most of it lies in the distance from {station} to {target} (row 41)." in found.sentence
+    assert f"Most of it is in the distance from {station} to {target} (row 41)." in found.sentence
 
 
 @pytest.mark.long

@@ -53,6 +53,31 @@ def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     assert more > 20.0 if shared else more < -20.0
 
 
+def test_every_variance_function_is_linear_in_its_size(repeated):
+    """The bank scales the pattern of a unit size."""
+    space, _, bank = repeated
+    for h in bank.hypotheses[::97]:
+        if isinstance(h.effect, VarianceFunction):
+            unit, sized = (h.effect.variance(space.sightings, space.sigma, np.array([v])) for v in (1.0, h.values[0]))
+            expected = space.sigma**2 + h.values[0] * (unit - space.sigma**2)
+            np.testing.assert_allclose(sized, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("covariate", ["time", "bearing", "distance"])
+def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariate):
+    space, _, bank = repeated
+    x = space.sightings.quantities[covariate]
+    band = (-np.pi, -0.75 * np.pi) if covariate == "bearing" else tuple(np.quantile(x, (0.0, 0.25)).tolist())
+    inside = (x >= band[0]) & (x <= band[1])
+    change = np.zeros((space.size, 1))
+    more = 2.0 * stream(9, "band").standard_normal(space.use.shape) * inside[:, None] * np.array([0.0, 1.0, 1.0])
+    change[: int(space.use.sum()), 0] = more[space.use]
+    residual = space.residual + space.project(change)[:, 0]
+    best = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1].effect
+    at = best.variance(space.sightings, space.sigma, best.spread) > space.sigma**2
+    assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
+
+
 def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     space, _, bank = repeated
     shaken = space.sightings.target < 6

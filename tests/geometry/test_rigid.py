@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.randomness import stream
-from ltsim.geometry.rigid import holds_pose, rigid_motion
+from ltsim.geometry.rigid import determines_pose, rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 
 
@@ -36,5 +36,5 @@ def test_three_targets_off_one_line_hold_a_station_and_two_a_levelled_one(which:
     seen = np.zeros((2, 6), dtype=bool)
     seen[:, list(which)] = True
     turn = from_rotation_vector(np.arctan2(up[0], up[2]) * np.array([0.0, 1.0, 0.0]))
-    held = holds_pose(POINTS @ turn.T, seen, np.array([[np.nan] * 3, up]))
+    held = determines_pose(POINTS @ turn.T, seen, np.array([[np.nan] * 3, up]))
     assert tuple(held) == SEEN[which]

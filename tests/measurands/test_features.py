@@ -8,9 +8,9 @@ import pytest
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.measurands.features import LEAST, fit
+from ltsim.measurands.features import MIN_POINTS, fit
 
-KINDS = tuple(LEAST)
+KINDS = tuple(MIN_POINTS)
 
 
 def surface(kind: str, count: int, *key: int) -> tuple[Floats, Floats]:
@@ -91,8 +91,8 @@ def test_many_sets_at_once_are_the_single_fits(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_that_determine_nothing_are_refused(kind: str) -> None:
     with pytest.raises(ModelError, match="needs at least"):
-        fit(kind, np.zeros((LEAST[kind] - 1, 3)) + np.arange(LEAST[kind] - 1)[:, None])
-    with pytest.raises(ModelError, match="one place"):
+        fit(kind, np.zeros((MIN_POINTS[kind] - 1, 3)) + np.arange(MIN_POINTS[kind] - 1)[:, None])
+    with pytest.raises(ModelError, match="coincide"):
         fit(kind, np.ones((6, 3)))
     if kind != "line":
         on_a_line = np.outer(np.linspace(-1, 1, 8), [1.0, 2.0, 3.0])

@@ -117,7 +117,7 @@ def test_ranges_from_one_plane_determine_nothing() -> None:
     both = np.concatenate([made.position, flat])
     out = reducer.reduce(reducer.blocks(both, np.tile(YAW, 2)), np.arange(10).reshape(2, 5), targets=True)
     assert np.isfinite(out.target_rms).tolist() == [True, False]
-    with pytest.raises(NetworkError, match="off one plane"):
+    with pytest.raises(NetworkError, match="not in one plane"):
         LayoutInformation.of(made.replace(position=flat))
 
 

@@ -205,7 +205,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.long
 def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starts, "SAYS", 0.0)
+    monkeypatch.setattr(starts, "REPORT_INTERVAL", 0.0)
     kept: list[Any] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     made = make_plan(file, scenario, follower=Follower(keep=kept.append))

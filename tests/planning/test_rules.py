@@ -15,7 +15,7 @@ from ltsim.core.errors import SetupError
 from ltsim.planning.planner import judge
 from ltsim.planning.result import Plan, opened
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.tolerances import ToleranceCheck, Tolerances, against, keeps, percent, verdict
+from ltsim.planning.tolerances import ToleranceCheck, Tolerances, is_met, percent, text_near_limit, verdict
 from ltsim.planning.workshop import as_it_stands
 
 PLAN = """format = "ltsim-plan/1"
@@ -65,9 +65,9 @@ def hall(tmp_path: Path) -> Path:
             (2500, 2100),
             "S1 and S2 are 0.10 m apart, closer than 1 m (stations.spacing_mm)",
         ),
-        ((300, 2000), (4000, 2000), "S1 stands outside the floor where tripods may stand (floor.corners_mm"),
+        ((300, 2000), (4000, 2000), "S1 stands outside the permitted floor (floor.corners_mm"),
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
-        ((4100, 900), (2000, 2000), "S1 stands where the floor is kept free (floor.keep_outs, floor.doors)"),
+        ((4100, 900), (2000, 2000), "S1 stands on floor that is kept free (floor.keep_outs, floor.doors)"),
         ((4500, 2800), (2000, 2000), "S1 stands inside an obstacle (workshop.obstacles)"),
     ],
 )
@@ -163,12 +163,16 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
     far = ToleranceCheck("", demands.tolerance, {"A": 1.236e-4}, 1.236, "A")
     assert "(24 % too large)" in far.worst_point
     assert percent(1.004) == "100.4 %" and percent(0.8543) == "85.4 %" and percent(1.0 + 1e-9).startswith("100.0000001")
-    assert against(0.1004, 0.1) == "0.1004" and against(0.0999, 0.1) == "0.0999" and against(0.25, 0.1) == "0.25"
-    assert keeps(1.0) and not keeps(np.nextafter(1.0, 2.0)) and not keeps(np.inf)
+    assert (
+        text_near_limit(0.1004, 0.1) == "0.1004"
+        and text_near_limit(0.0999, 0.1) == "0.0999"
+        and text_near_limit(0.25, 0.1) == "0.25"
+    )
+    assert is_met(1.0) and not is_met(np.nextafter(1.0, 2.0)) and not is_met(np.inf)
 
 
 def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Path) -> None:
-    from ltsim.reports.document import Grid
+    from ltsim.reports.document import TableBlock
     from ltsim.reports.sections.plan import _tolerances
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
@@ -177,7 +181,7 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
     hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
     (grid, *_) = _tolerances(content)
-    assert isinstance(grid, Grid) and len(grid.marked) == 1 and content.reached is False
+    assert isinstance(grid, TableBlock) and len(grid.marked) == 1 and content.reached is False
     (row,) = (grid.rows[i] for i in grid.marked)
     assert row[0] == made.check.worst and row[3] == "100.04 %"  # type: ignore[union-attr]
     assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]

@@ -21,7 +21,7 @@ from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.starts import PlanningProblem, SearchTask
 from ltsim.scene.floor import Area, inside
-from ltsim.scene.meshes import box, placed, together
+from ltsim.scene.meshes import box, joined_obstacles, transformed
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
 from tests.planning.fixtures import survey
 
@@ -139,20 +139,22 @@ def test_a_fixed_station_stays() -> None:
 
 def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: ignore[no-untyped-def]
     """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
-    pillar = placed(box(np.array([0.5, 0.5, 1.2])), np.array([*found.position[0, :2], 0.0]), 0.0)
-    where = site(obstacles=together([pillar]))
+    pillar = transformed(box(np.array([0.5, 0.5, 1.2])), np.array([*found.position[0, :2], 0.0]), 0.0)
+    where = site(obstacles=joined_obstacles([pillar]))
     work = LayoutSearcher(where, step=0.8, yaws=4, heights=1)
     assert work.evaluate(found.position, found.yaw).value == np.inf
     made = work.from_start(4, 1)
-    assert not together([pillar]).encloses(made.position).any()
-    assert visibility(made.position, where.survey.points, where.limits, obstacles=together([pillar])).visible.all()
+    assert not joined_obstacles([pillar]).encloses(made.position).any()
+    assert visibility(
+        made.position, where.survey.points, where.limits, obstacles=joined_obstacles([pillar])
+    ).visible.all()
     free = LayoutSearcher(site(), step=0.8, yaws=4, heights=1).from_start(4, 1)
     assert made.value > 0.97 * min(free.value, found.value)
 
 
 def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None:
     """From the height of a table's top a point on it is in sight, from 40 mm lower it is not."""
-    table = together([placed(box(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
+    table = joined_obstacles([transformed(box(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
     point = np.array([[3.0, 3.0, 1.0]])
     heads = np.array([[1.0, 3.0, height] for height in (1.001, 1.04, 1.2)])
     assert site(obstacles=table).visible(heads, point)[:, 0].tolist() == [True, True, True]
@@ -160,9 +162,7 @@ def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None
 
 
 def test_all_targets_that_no_place_sees_are_named() -> None:
-    with pytest.raises(
-        SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; let them stand higher"
-    ):
+    with pytest.raises(SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; raise the heads"):
         searcher(site(limits=SightLimits(range_max=2.0))).from_start(0, 1)
 
 

@@ -37,7 +37,7 @@ def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
     found, limiting = most_sights(short_sighted(3), 0.5, 2)
     asked = PlanFile(stations=Stations(min_stations_per_target="all"))
     with pytest.raises(
-        SetupError, match=rf"set stations.min_stations_per_target = {found}, move {limiting}, or widen the floor"
+        SetupError, match=rf"set stations.min_stations_per_target = {found}, move {limiting}, or enlarge the floor"
     ):
         with_reachable_sights(asked, short_sighted(3))
     assert with_reachable_sights(asked, site()) is asked

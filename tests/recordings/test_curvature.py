@@ -57,7 +57,7 @@ def hints(folder: Path) -> Hints:
 def test_long_sights_of_levelled_set_ups_are_on_a_round_earth(tmp_path: Path) -> None:
     recording = read(survey(tmp_path), hints=hints(tmp_path))
     assert recording.setup.curved
-    assert sum("levelled set-ups stand on a round earth" in note for note in recording.notes) == 1
+    assert sum("the set-ups are levelled on a curved earth" in note for note in recording.notes) == 1
     assert 0.7 < lt.adjust(recording).fit.sigma0 < 1.3
     flat = recording.replace(setup=recording.setup.model_copy(update={"curved": False, "refraction": None}))
     assert lt.adjust(flat).fit.sigma0 > 2.0
@@ -98,4 +98,4 @@ def test_a_declared_coefficient_stays(tmp_path: Path) -> None:
 def test_short_sights_and_what_a_person_states_stay_as_they_are(tmp_path: Path, size: float, further: str) -> None:
     recording = read(survey(tmp_path, size=size, further=further), hints=hints(tmp_path))
     assert not recording.setup.curved and recording.setup.refraction is None
-    assert not any("round earth" in note for note in recording.notes)
+    assert not any("curved earth" in note for note in recording.notes)

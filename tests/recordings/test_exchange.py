@@ -72,8 +72,8 @@ def test_unknown_things(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("nothing that anybody knows\n")
     (tmp_path / "b.txt").write_bytes(bytes(range(256)))
     for path, says in (
-        (tmp_path / "a.txt", "in none of the formats"),
-        (tmp_path / "b.txt", "in no"),
+        (tmp_path / "a.txt", "has none of the formats"),
+        (tmp_path / "b.txt", "has none"),
         (tmp_path / "c", "no such"),
     ):
         with pytest.raises(RecordError, match=says):
@@ -83,7 +83,7 @@ def test_unknown_things(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="there is no format called 'gsi'"):
         write(workshop(), tmp_path / "out", "gsi")
     write(workshop(), tmp_path / "trial" / "recording")
-    with pytest.raises(RecordError, match="trial: is no recording, but holds 1; give "):
+    with pytest.raises(RecordError, match="trial: is not a recording, but contains 1; give "):
         read(tmp_path / "trial")
 
 

@@ -54,9 +54,9 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     assert found.labels["date"][0] == "2015-03-15"
     said = "\n".join(found.notes)
     assert "distances are interpreted as m ('fromhgt'" in said
-    assert "'date' holds days without a clock" in said
-    assert "3 occupations of 2 marks, by day, are set-ups of their own" in said
-    assert "states no noise" not in said
+    assert "'date' contains dates without a time" in said
+    assert "3 occupations of 2 marks, by day, are separate set-ups" in said
+    assert "declares no noise" not in said
     assert found.stations == ("A", "A#2", "B")
     assert [found.station_setup(name).over for name in found.stations] == ["A", "A", "B"]
     assert all(found.station_setup(name).levelled for name in found.stations)
@@ -71,7 +71,7 @@ def test_columns_names_heights_and_sigmas(tmp_path: Path) -> None:
     found = read(file_of(tmp_path, text), hints=Hints(columns=wanted))
     np.testing.assert_allclose(found.covariates["target_height_mm"], [1500, 1600])
     np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], 0.972)
-    assert any("states no noise" in note for note in found.notes)
+    assert any("declares no noise" in note for note in found.notes)
 
 
 def test_a_distance_that_may_be_metres_is_asked_for(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
         found.covariates["sigma_elevation_arcsec"], np.degrees(2e-5 / want[:, 0]) * 3600, rtol=1e-6
     )
     assert any("converted to distance, azimuth and elevation" in note for note in found.notes)
-    with pytest.raises(RecordError, match="in one frame already; export them in the axes of each instrument"):
+    with pytest.raises(RecordError, match="already in one frame; export them in the axes of each instrument"):
         read(places(tmp_path / "b.csv", one_frame=True))
     rows = places(tmp_path / "c.csv", named=False).read_text().splitlines()[:7]
     list_ = file_of(tmp_path, "\n".join(rows) + "\n", "d.csv")
@@ -206,7 +206,7 @@ def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("wrong,thing\n1,2\n", "is no list of coordinates, expected a header that names the point"),
+        ("wrong,thing\n1,2\n", "is not a list of coordinates, expected a header that names the point"),
         ("name,x_mm,y_mm,z_mm\nA,1,x,3\n", "row 2, column y_mm: found 'x', expected a number"),
         ("name,x_mm,y_mm,z_mm\n", "holds no points"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "row 3: the point A was listed before with other coordinates"),
@@ -264,7 +264,7 @@ def test_workbooks_are_bounded_and_told(tmp_path: Path, part: str, change: Calla
 
 
 def test_numbers_of_thousands_of_digits_and_keys_with_brackets(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"holds the number 1111.*, expected at most 1e"):
+    with pytest.raises(RecordError, match=r"contains the number 1111.*, expected at most 1e"):
         read_json(file_of(tmp_path, '{"a": ' + "1" * 5000 + "}", "c.json"), "calibration.json")
     file = file_of(tmp_path, 'format = "ltsim-recording/1"\n"a[0]" = 1\n', "setup.toml")
     with pytest.raises(RecordError, match=r"unknown key a\[0\]; did you mean"):

@@ -140,10 +140,10 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
         ('to="B" val="101"', 'to="../B" val="101"', "holds '/'"),
         ('id="A"', 'id="&lt;b&gt;"', "holds '<'"),
         ('fix="xyz"', 'fix="abc"', "is not one of xyz, xy, z"),
-        ('y="200" z="10"', 'y="200"', "fixed without all its coordinates"),
+        ('y="200" z="10"', 'y="200"', "fixed, but lacks coordinates"),
         ('x="100" y="200"', 'x="1e9" y="200"', "position_mm.1 is 1000000000000.0, but it should be less"),
-        ('axes-xy="ne"', 'axes-xy="up"', "no system that gama-local knows"),
-        ('direction-stdev="3.0"', "", "no standard deviation is stated"),
+        ('axes-xy="ne"', 'axes-xy="up"', "not a system of gama-local"),
+        ('direction-stdev="3.0"', "", "no standard deviation is given"),
         ('distance-stdev="1.5"', 'distance-stdev="0"', "a standard deviation of 0"),
         ("</network>", "", "not well-formed"),
         ('<obs from="D">', '<obs from="D"><cov-mat dim="9" band="0">1</cov-mat>', "do not match"),
@@ -183,7 +183,7 @@ def test_deep_nesting(tmp_path: Path) -> None:
 def test_other_xml(tmp_path: Path) -> None:
     file = tmp_path / "n.xml"
     file.write_text('<?xml version="1.0"?><html/>')
-    with pytest.raises(RecordError, match="in none of the formats"):
+    with pytest.raises(RecordError, match="has none of the formats"):
         read(file)
     with pytest.raises(RecordError, match="expected <gama-local>"):
         read(file, format="gama-local")

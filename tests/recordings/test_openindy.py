@@ -58,10 +58,10 @@ def test_readings(tmp_path: Path) -> None:
     notes = " ".join(recording.notes)
     assert "1 invalid readings left out" in notes
     assert "1 readings of the type temperature left out" in notes
-    assert "states no noise" in notes  # not all of them do
+    assert "declares no noise" in notes  # not all of them do
     polar = SAMPLE.partition(observation(12, "polar", 9, POLAR))[0] + "</observations></oiProjectData>"
     (tmp_path / "q.xml").write_text(polar)
-    assert "states no noise" not in " ".join(read(tmp_path / "q.xml").notes)
+    assert "declares no noise" not in " ".join(read(tmp_path / "q.xml").notes)
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_both_dialects_and_their_units(tmp_path: Path, dialect: str, units: str,
     assert first.levelled and first.over == "1" and second.instrument_height_mm == pytest.approx(1400.0)
     np.testing.assert_allclose(recording.heights()[1], [1.6, 1.6, 1.6, 1.7])
     assert "because it is an SDR file" in recording.notes[0]
-    assert any("1 observations that the instrument had corrected" in note for note in recording.notes)
+    assert any("1 observations that the instrument corrected" in note for note in recording.notes)
 
 
 def test_angles_from_the_horizon_and_feet(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.recordings.specification import (
     COVERAGE,
-    LIMITS,
+    REQUIRED_LIMITS,
     Specification,
     figures,
     sheet,
@@ -25,7 +25,7 @@ RANGE_TABLES = {
     "noise": {"distance_mm": 0.004, "distance_ppm": 0.1},
     "prior": {"range_scale_ppm": 0.2, "range_offset_mm": 0.003},
 }
-WHOLE = [name for name in sheet_names() if all(key in figures(name) for key in LIMITS)]
+WHOLE = [name for name in sheet_names() if all(key in figures(name) for key in REQUIRED_LIMITS)]
 
 
 def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: bool) -> dict[str, float]:
@@ -140,11 +140,11 @@ def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: 
     whole = setup.read_text()
     setup.write_text(whole.replace("[instrument]\n", '[instrument]\nsheet = "leica-at500"\n', 1))
     told = [
-        note for note in lt.read(tmp_path / "rec").notes if "stand above those of the data sheet leica-at500" in note
+        note for note in lt.read(tmp_path / "rec").notes if "replace the values of the data sheet leica-at500" in note
     ]
     assert len(told) == 1
     assert "noise.azimuth_arcsec" in told[0]
     assert "prior.range_scale_ppm" in told[0]
     bare = re.sub(r"\[instrument\.(noise|prior)\]\n(.+\n)*", "", setup.read_text())
     setup.write_text(bare)
-    assert not [note for note in lt.read(tmp_path / "rec").notes if "stand above" in note]
+    assert not [note for note in lt.read(tmp_path / "rec").notes if "replace the values" in note]

@@ -43,7 +43,7 @@ def test_faces_noise_and_what_is_missing_are_counted() -> None:
     topics = summary(first.with_readings(readings).replace(has_clock=False))
     assert topics["faces"] == "face 1 only"
     assert topics["readings"].startswith("no distances, ")
-    assert topics["time"] == "no clock: the order of the rows counts"
+    assert topics["time"] == "no clock: the order of the rows replaces the time"
     assert topics["heights"] == "none"
     assert noise_words(Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=2.0)) == (
         "1 mm + 1.5 ppm, 1 arcsec across, 2 arcsec in elevation"

@@ -66,7 +66,7 @@ def test_occupations_of_one_mark_are_set_ups_of_their_own(tmp_path: Path, by: st
         file.write_text(file.read_text().replace("isetupid", "remark"))
     recording = read(file)
     assert recording.stations == ("A", "B", "A#2", "B#2")
-    assert f"4 occupations of 2 marks, by {by}, are set-ups of their own" in said(recording)
+    assert f"4 occupations of 2 marks, by {by}, are separate set-ups" in said(recording)
     assert {recording.station_setup(name).over for name in recording.stations} == {"A", "B"}
 
 
@@ -76,7 +76,7 @@ def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> Non
     visits = [("A" if i % 4 < 2 else "B", "", "", i // 4 * 2 + i % 2, zero) for i, zero in enumerate(zeros.tolist())]
     recording = read(survey(tmp_path / "a.csv", visits, heights=False, sigmas=True))
     assert len(recording.stations) == 8
-    assert "the circle was turned between rounds: 8 rounds are set-ups of their own" in said(recording)
+    assert "the circle was turned between rounds: 8 rounds are separate set-ups" in said(recording)
     adjusted = lt.adjust(recording)
     assert 0.6 < adjusted.fit.sigma0 < 1.5
     still = read(survey(tmp_path / "b.csv", [(*visit[:4], 0.0) for visit in visits], heights=False, sigmas=True))
@@ -101,7 +101,7 @@ def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_sai
     recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
     assert recording.setup.instrument.noise == TOTAL_STATION_NOISE
     assert (
-        "that of a total station is assumed (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
+        "that of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
         in recording.notes[0]
     )
     assert all(recording.station_setup(name).levelled for name in recording.stations)
@@ -112,5 +112,5 @@ def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
         survey(tmp_path / "a.csv", [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)], heights=False, digits=7)
     )
     assert recording.setup.instrument.noise.distance_mm == pytest.approx(0.003)
-    assert "that of the default laser tracker is assumed" in recording.notes[0]
+    assert "that of the default laser tracker is used" in recording.notes[0]
     assert not recording.setup.stations

@@ -57,7 +57,7 @@ def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None
     assert {check.what for check in wide.checks} == {"convergence", "beam-tilt"} and not wide.failures()
     narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failures()
     assert narrow[0].sentence().startswith("beam-tilt fails: share of errors within 0.01 arcsec")
-    for words, says in (({"beam-tilt": "2 mm"}, "expected a quantity"), ({"bean": "2 urad"}, "of none of")):
+    for words, says in (({"beam-tilt": "2 mm"}, "expected a quantity"), ({"bean": "2 urad"}, "to none of")):
         with pytest.raises(SetupError, match=says):
             lt.recover(SCENE, tolerance=words, **how)
 
@@ -112,7 +112,7 @@ def test_checks_are_a_function_of_estimate_sigma_and_truth() -> None:
     assert not all(check.passed for check in recovery_checks(estimate, sigma / 3, truth))
     (only,) = recovery_checks(estimate, None, truth, names=["a", "b"], tolerance={"b": 2.0})
     assert only.what == "b" and only.passed
-    with pytest.raises(ModelError, match="of none of"):
+    with pytest.raises(ModelError, match="to none of"):
         recovery_checks(estimate, None, truth, tolerance={"b": 2.0})
 
 
@@ -130,7 +130,8 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     silent = lt.recover(SCENE, trials=3, seed=2, calibrator=constant(1000.0, None))
     assert silent.unchecked == ("beam-tilt",) and not silent.failures() and not silent.passed
     assert (
-        silent.verdict() == "1 of 2 parameters are recovered within its stated uncertainty, the others are not checked"
+        silent.verdict()
+        == "1 of 2 parameters are recovered within its declared uncertainty, the others are not checked"
     )
     assert silent.problems()[-1].startswith(
         "beam-tilt is not checked: the calibrator does not declare the standard deviation in every trial"
@@ -141,6 +142,17 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     assert not judged.unchecked and not judged.passed
     nothing = lt.recover(SCENE, trials=2, calibrator=lambda recording: {"beam-tilt": (8.0, None, "urad")})
     assert nothing.verdict() == "no parameter is checked" and not nothing.passed
+
+
+def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
+    values = dict.fromkeys(("beam-tilt", "transit-tilt", "range-offset", "range-scale"), (0.0, None))
+    units = dict(zip(values, ("urad", "urad", "um", "ppm"), strict=True))
+    silent = {name: (*given, units[name]) for name, given in values.items()}
+    found = lt.recover("paper-workshop", trials=2, calibrator=lambda recording: silent)
+    sentence = found.problems()[-1]
+    assert len(found.unchecked) == 4
+    assert sentence.startswith("4 of 4 parameters (")
+    assert " and 1 more) are not checked: the calibrator does not declare" in sentence
 
 
 def test_a_sigma_in_a_part_of_the_trials_is_none() -> None:
@@ -189,7 +201,7 @@ def test_checks_of_arrays_cannot_pass_with_nothing_to_judge_by() -> None:
     for estimate, sigma, says in (
         (two, None, "neither sigma nor tolerance"),
         (one, one + 1, "expected 2 or more"),
-        (two, one + 1, "give a sigma of each"),
+        (two, one + 1, "give one sigma per value"),
     ):
         with pytest.raises(ModelError, match=says):
             recovery_checks(estimate, sigma, estimate)

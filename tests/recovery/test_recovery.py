@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
-from ltsim.campaigns.recovery_trials import How, RecoveryTrials, from_prior, run_trials
+from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, from_prior, run_trials
 from ltsim.campaigns.scoring import NetworkScore, Trial
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, misalignment
@@ -32,7 +32,7 @@ def recovery(*trials: Trial | None) -> Recovery:
 
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:
-    how = How(settings.pop("method", "network"), settings.pop("construction", None))
+    how = RecoverySettings(settings.pop("method", "network"), settings.pop("construction", None))
     return recovery(*run_trials(load_scenario(name), trials, how, seed=11, **settings))
 
 
@@ -95,7 +95,7 @@ def test_the_paper_chain_recovers_itself() -> None:
     scenario = load_scenario("paper-workshop-two-face")
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
-    found = recovery(*run_trials(scenario, 100, How(), seed=3, jobs=2))
+    found = recovery(*run_trials(scenario, 100, RecoverySettings(), seed=3, jobs=2))
     assert [c.sentence() for c in found.failures()] == []
 
 
@@ -118,7 +118,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = recovery(*run_trials(noisy, 20, How(), seed=1))
+    result = recovery(*run_trials(noisy, 20, RecoverySettings(), seed=1))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 

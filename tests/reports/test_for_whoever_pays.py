@@ -11,7 +11,7 @@ import pytest
 from ltsim.core.errors import RecordError
 from ltsim.recordings import read, write
 from ltsim.recordings.setup import About, Instrument
-from ltsim.reports.document import Document, Grid, Listing, Section
+from ltsim.reports.document import CodeBlock, Document, Section, TableBlock
 from ltsim.reports.page import document, render
 from tests.reports import samples
 
@@ -114,8 +114,8 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
 
 
 def test_print_leaves_settings_and_endless_tables_out() -> None:
-    long = Grid("Long", ["a"], [[str(i)] for i in range(500)])
-    section = Section("t", "Campaign", "x", blocks=[long, Listing("Settings", "{}")])
+    long = TableBlock("Long", ["a"], [[str(i)] for i in range(500)])
+    section = Section("t", "Campaign", "x", blocks=[long, CodeBlock("Settings", "{}")])
     html = render(Document("t", "x", "plain", [section]))
     assert '<details class="endless">' in html
     assert ".listing, .endless { display: none; }" in html
@@ -126,6 +126,6 @@ def test_many_balls_are_light() -> None:
 
     from ltsim.reports import scene3d
 
-    few, many = (scene3d.balls(np.zeros((k, 3)), np.broadcast_to(np.eye(3), (k, 3, 3))) for k in (10, 1000))
+    few, many = (scene3d.ellipsoid_mesh(np.zeros((k, 3)), np.broadcast_to(np.eye(3), (k, 3, 3))) for k in (10, 1000))
     assert few.n_points / 10 > 4 * many.n_points / 1000
     assert np.abs(np.linalg.norm(many.points, axis=1) - 1.0).max() < 1e-6

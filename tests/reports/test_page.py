@@ -341,7 +341,7 @@ def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text("\n".join(f'{key} = "{value}"' for key, value in specification.items()))
     assert run(["accept", str(tmp_path / "my.toml"), "--out", str(tmp_path / "out"), "-q"]) == 0
     shown = document(tmp_path / "out")
-    assert shown.verdict == "More likely than not all tests are passed." and "chance of" in shown.answer
+    assert shown.verdict == "The tracker is likely to pass all tests." and "probability of" in shown.answer
     assert dict(shown.about)["instrument"] == "Leica Absolute Tracker AT500"
 
 

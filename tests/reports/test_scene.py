@@ -11,7 +11,7 @@ from matplotlib import image
 
 from ltsim.core.randomness import stream
 from ltsim.reports import scene3d, workshop
-from ltsim.reports.document import POLICY
+from ltsim.reports.document import CONTENT_SECURITY_POLICY
 from ltsim.reports.figures.floor_plan import FEW_TRIANGLES, floor_plan
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.style import svg
@@ -82,7 +82,7 @@ def test_page_escapes_the_title_and_names_no_server(scene: workshop.PlacedWorksh
 
 def test_page_has_the_policy_of_the_report(scene: workshop.PlacedWorkshop) -> None:
     head = scene_page(scene).partition("</head>")[0]
-    assert f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">' in head
+    assert f'<meta http-equiv="Content-Security-Policy" content="{CONTENT_SECURITY_POLICY}">' in head
 
 
 def test_station_names_may_be_long_or_foreign(scene: workshop.PlacedWorkshop) -> None:

@@ -145,7 +145,7 @@ def test_ragged_history_gets_one_sentence(tmp_path: Path) -> None:
     content = json.loads(file.read_text())
     content["parameters"][3]["values"].pop()
     file.write_text(json.dumps(content))
-    with pytest.raises(RecordError, match="has not one value and one sigma a calibration"):
+    with pytest.raises(RecordError, match="needs one value and one sigma per calibration"):
         report(file.parent)
 
 

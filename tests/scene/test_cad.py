@@ -12,7 +12,7 @@ import trimesh
 import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
-from ltsim.scene.cad import UPRIGHT, read_mesh
+from ltsim.scene.cad import Y_UP_TO_Z_UP, read_mesh
 from ltsim.simulation.workshop import bodies_of
 
 HEADER = """ISO-10303-21;
@@ -142,7 +142,7 @@ def fuselage() -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(np.concatenate(places) + [20.0, 12.5, 4.0])
 
 
-def written(folder: Path, name: str, turn: np.ndarray = UPRIGHT.T, **keys: str) -> Path:
+def written(folder: Path, name: str, turn: np.ndarray = Y_UP_TO_Z_UP.T, **keys: str) -> Path:
     """A plan whose fuselage is the file `name`, in the convention of its format; OBJ in another order."""
     mesh, file = fuselage(), folder / name
     if file.suffix == ".obj":
@@ -172,11 +172,11 @@ def test_a_body_of_a_file_hides_sights(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "turn", "keys"),
     [
-        ("fuselage.obj", UPRIGHT.T, {}),
-        ("fuselage.glb", UPRIGHT.T, {}),
-        ("fuselage.gltf", UPRIGHT.T, {}),
+        ("fuselage.obj", Y_UP_TO_Z_UP.T, {}),
+        ("fuselage.glb", Y_UP_TO_Z_UP.T, {}),
+        ("fuselage.gltf", Y_UP_TO_Z_UP.T, {}),
         ("fuselage.glb", np.eye(3), {"up": "z"}),
-        ("fuselage.step", UPRIGHT.T, {}),
+        ("fuselage.step", Y_UP_TO_Z_UP.T, {}),
     ],
 )
 def test_each_format_gives_the_same_body(name: str, turn: np.ndarray, keys: dict[str, str], tmp_path: Path) -> None:
@@ -195,10 +195,10 @@ PLACE = "position_mm = [0, 0, 0]"
 @pytest.mark.parametrize(
     ("name", "turn", "scale", "place", "sentence"),
     [
-        ("fuselage.stl", None, 1e-3, PLACE, 'does not say; state unit = "m", or unit = "mm" if it is so'),
-        ("fuselage.stl", None, 1 / 25.4, PLACE, 'does not say; state unit = "in", or unit = "mm" if it is so'),
+        ("fuselage.stl", None, 1e-3, PLACE, 'does not declare; set unit = "m", or unit = "mm" if this is correct'),
+        ("fuselage.stl", None, 1 / 25.4, PLACE, 'does not declare; set unit = "in", or unit = "mm" if this is correct'),
         ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its numbers are millimetres"),
-        ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it would'),
+        ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it is inside'),
         ("fuselage.stl", None, 1.0, "position_mm = [0, 0, -3000]", "reaches below the floor of 40 x 25 x 12 m"),
         ("fuselage.step", None, 1.0, "position_mm = [10000, 0, 0]", "reaches beyond the room of 40 x 25 x 12 m"),
     ],
@@ -208,7 +208,7 @@ def test_a_body_that_cannot_be_meant_so_is_a_question(
 ) -> None:
     if name.endswith("step"):
         pytest.importorskip("cascadio", reason="the extra step is not installed")
-    plan = written(tmp_path, name, UPRIGHT.T if turn is None else turn)
+    plan = written(tmp_path, name, Y_UP_TO_Z_UP.T if turn is None else turn)
     if scale != 1.0:
         trimesh.load(tmp_path / name).apply_scale(scale).export(tmp_path / name)
     plan.write_text(plan.read_text().replace(PLACE, place))

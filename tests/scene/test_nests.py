@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.arrays import Floats
-from ltsim.scene.meshes import box, cylinder, nest_places, together, walls
+from ltsim.scene.meshes import box, cylinder, joined_obstacles, nest_places, walls
 
 SIZE = np.array([2.5, 1.5, 2.2])
 
@@ -35,7 +35,7 @@ def test_a_thin_pole_carries_no_nest_and_a_wide_one_does() -> None:
 
 def test_walls_hold_nests_inside_the_room_and_not_in_what_stands_there() -> None:
     size = np.array([12.0, 8.0, 5.0])
-    cupboard = together([box(np.array([3.0, 3.0, 3.0]))])
+    cupboard = joined_obstacles([box(np.array([3.0, 3.0, 3.0]))])
     places = nest_places(walls(size), 0.04, 0.5, cupboard, closed=False)
     assert np.all((places > 0) & (places < size))
     assert np.minimum(places, size - places)[:, :2].min(axis=1) == pytest.approx(0.04)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ltsim.scene.regions import LEAST_PASSING, LEAST_TARGETS, MOST_PASSING, SHAPES, Region, extent, regions_of
+from ltsim.scene.regions import MAX_PASSING, MIN_PASSING, MIN_TARGETS, SHAPES, Region, extent, regions_of
 from tests.physics.effects.scenes import scene
 
 SCENE = scene()
@@ -46,8 +46,8 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
     assert regions and len(set(regions)) == len(regions)
     for region in regions:
         passing = region.path(SCENE) > region.width
-        assert LEAST_PASSING <= passing.sum() <= MOST_PASSING * len(SCENE)
-        assert len(np.unique(SCENE.target[passing])) >= LEAST_TARGETS
+        assert MIN_PASSING <= passing.sum() <= MAX_PASSING * len(SCENE)
+        assert len(np.unique(SCENE.target[passing])) >= MIN_TARGETS
         at = ["xyz".index(axis) for axis in region.axes]
         assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])
 

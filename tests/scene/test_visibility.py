@@ -101,7 +101,7 @@ class Wall:
         assert len(origins) == len(ends)
         return np.asarray((origins[:, 0] < 1) & (ends[:, 0] > 1))
 
-    def over_skin(self, points):
+    def moved_to_surface(self, points):
         return points
 
     def encloses(self, points: np.ndarray) -> np.ndarray:
@@ -142,8 +142,8 @@ def test_out_of_range_gives_the_number_the_limit_and_the_key() -> None:
     points = np.array([at(0.0, 5.1)[0], at(0.0, 0.9)[0], at(77.1)[0]]).reshape(-1, 3)
     table = visibility(HEAD, points, limits)
     assert table.words()[0] == [
-        "out of range (5.10 m, 1 to 5 m can be measured: instrument.limits.range_max_mm)",
-        "out of range (0.90 m, 1 to 5 m can be measured: instrument.limits.range_min_mm)",
-        "above the elevation limit (77.1 deg, 77 is the most: instrument.limits.elevation_max_deg)",
+        "out of range (5.10 m, expected 1 to 5 m: instrument.limits.range_max_mm)",
+        "out of range (0.90 m, expected 1 to 5 m: instrument.limits.range_min_mm)",
+        "above the elevation limit (77.1 deg, the maximum is 77 deg: instrument.limits.elevation_max_deg)",
     ]
     assert table.kinds()[0][:2] == ["out of range", "out of range"]

@@ -135,5 +135,5 @@ def test_what_a_recording_does_not_show_is_a_key(key: str) -> None:
 def test_a_setting_that_finds_nothing_to_act_on_is_said() -> None:
     aimed = changed(SCENARIO, {"smr.nests": "re-aimed", "smr.incidence_error": True}, HERE)
     assert any("smr-incidence" in note for note in simulate(aimed, 5)[0].notes)
-    with pytest.raises(LtsimError, match="stands nowhere"):
+    with pytest.raises(LtsimError, match="is used at no station"):
         changed(SCENARIO, {"instruments.B": {}}, HERE)

@@ -114,10 +114,10 @@ def test_the_curve_rises(recording: Recording) -> None:
     ("cause", "said"),
     [
         ("nonsense", "no effect called 'nonsense'"),
-        ("range-step:S9", "'S9' is no station"),
+        ("range-step:S9", "'S9' is not a station"),
         ("range-step:S3,range-step=far", "expected a number"),
         ("azimuth ~ nothing at all", "nothing at all"),
-        ("azimuth ~ constant:S2", "network hides"),
+        ("azimuth ~ constant:S2", "network absorbs"),
         ("target-swap", "no size"),
     ],
 )
@@ -127,7 +127,7 @@ def test_what_cannot_be_is_said(recording: Recording, cause: str, said: str) -> 
 
 
 def test_what_happens_after_the_last_pointing_changes_nothing_and_is_refused(recording: Recording) -> None:
-    with pytest.raises(ModelError, match="target-moved:T05,time=1e6: changes no reading; expected a place"):
+    with pytest.raises(ModelError, match="target-moved:T05,time=1e6: changes no reading; give a place"):
         lt.inject(recording, "target-moved:T05,time=1e6")
 
 
@@ -155,5 +155,5 @@ def test_an_effect_with_its_size_is_injected_as_in_words(recording: Recording) -
 
 def test_a_list_of_causes_is_one_sentence() -> None:
     recording, _ = lt.simulate("paper-workshop", seed=7)
-    with pytest.raises(ModelError, match="one after another"):
+    with pytest.raises(ModelError, match="separate arguments"):
         lt.inject(recording, ["index-drift"])  # type: ignore[arg-type]

@@ -57,7 +57,7 @@ def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
     assert not survey_of(lt.scenario("paper-workshop", RANGES)).is_whole
     assert truth_of(lt.scenario("paper-workshop", RANGES), 1).recorded.tolist() == [True, False, False]
     angles = lt.scenario("paper-workshop", {"instrument.observables": ["azimuth", "elevation"]})
-    with pytest.raises(SetupError, match="or for ranges alone"):
+    with pytest.raises(SetupError, match="or ranges only"):
         survey_of(angles)
 
 

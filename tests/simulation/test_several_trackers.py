@@ -117,9 +117,9 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
     ("changes", "message"),
     [
         ({"stations.S1.instrument": "C"}, r"stations.S1.instrument names 'C', which is not one of A, B"),
-        ({"instruments.A.construction": "dh"}, r"instruments hold different constructions \(instruments.A 'dh' and"),
-        ({"instruments.C.corrected": True}, "instruments.C stands nowhere; name it as the instrument of a station"),
-        ({"instrument.noise_factor": 2.0}, "instrument is stated but stands nowhere"),
+        ({"instruments.A.construction": "dh"}, r"instruments have different constructions \(instruments.A 'dh' and"),
+        ({"instruments.C.corrected": True}, "instruments.C is used at no station; name it as"),
+        ({"instrument.noise_factor": 2.0}, "instrument is used at no station"),
         ({"instruments.B.limits.elevation_max_deg": -50}, "instruments.B.limits is .* below elevation_max_deg"),
         ({"instruments.B.noise_facto": 2.0}, "unknown key 'instruments.B.noise_facto'|unknown key instruments"),
         ({"instruments.B.errors.beam-til": 2.0}, "instruments.B.errors.beam-til: .*beam-tilt"),
@@ -139,5 +139,5 @@ def test_stations_name_trackers_only_where_there_are_some() -> None:
 
 
 def test_a_plan_is_for_one_tracker() -> None:
-    with pytest.raises(SetupError, match="a plan is for one, stated as"):
+    with pytest.raises(SetupError, match="a plan needs one, in the table"):
         survey_of(TWO)

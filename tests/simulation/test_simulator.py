@@ -173,7 +173,7 @@ def test_an_effect_on_the_noise_scales_the_same_draws() -> None:
 
 def test_more_noise_cannot_be_taken_away_than_there_is() -> None:
     entry = [{"name": "turbulence", "values": {p.name: -1e6 for p in find_effect("turbulence").parameters}}]
-    with pytest.raises(SetupError, match="turbulence takes away more noise"):
+    with pytest.raises(SetupError, match="turbulence makes a variance"):
         simulate(with_(PAPER, effects=entry), 1)
 
 
@@ -305,4 +305,4 @@ def test_an_effect_without_anything_to_act_on_is_told() -> None:
     smr = PAPER.smr.model_copy(update={"nests": "re-aimed", "incidence_error": True})
     entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]
     recording, _ = simulate(with_(PAPER, effects=entries).model_copy(update={"smr": smr}), 1)
-    assert recording.notes[-2:] == ("dead-path changes nothing here", "smr-incidence changes nothing here")
+    assert recording.notes[-2:] == ("dead-path changes no reading here", "smr-incidence changes no reading here")

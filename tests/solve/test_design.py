@@ -13,7 +13,7 @@ from ltsim.solve.design import Design, Pattern, as_dense, column_scale, scaled
 
 @pytest.mark.parametrize("limit", [10**6, 0])
 def test_a_pattern_puts_values_where_they_belong(monkeypatch: pytest.MonkeyPatch, limit: int) -> None:
-    monkeypatch.setattr(design, "DENSE", limit)
+    monkeypatch.setattr(design, "MAX_DENSE_ENTRIES", limit)
     rng = stream(0, "pattern")
     columns = [rng.integers(0, 7, (5, 4)), np.zeros((0, 3), dtype=np.int64), rng.integers(0, 7, (3, 1))]
     values = [rng.standard_normal(kind.shape) for kind in columns]

@@ -7,7 +7,14 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import stream
-from ltsim.solve.design import DOUBTFUL, FORMED, RANK, Design, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import (
+    DOUBTFUL_PIVOT,
+    NORMAL_RANK_TOLERANCE,
+    RANK_TOLERANCE,
+    Design,
+    cholesky_where_determined,
+    unit_diagonal,
+)
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
 
@@ -20,7 +27,7 @@ def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
     return np.hstack([basis[:, :-1], last[:, None] / np.linalg.norm(last)])
 
 
-CASES = ((100 * RANK, True), (3 * RANK, True), (RANK / 3, False), (0.0, False))
+CASES = ((100 * RANK_TOLERANCE, True), (3 * RANK_TOLERANCE, True), (RANK_TOLERANCE / 3, False), (0.0, False))
 
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])
@@ -33,7 +40,7 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
     design = nearly_dependent(size, image) * 10.0 ** stream(1, "unit").uniform(-6, 6, size)
     system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
-        assert BlockFactor(system).smallest_pivot < DOUBTFUL
+        assert BlockFactor(system).smallest_pivot < DOUBTFUL_PIVOT
     else:
         with pytest.raises(SingularSystemError):
             BlockFactor(system)
@@ -41,7 +48,9 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
 
 
 def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:
-    images = np.array([1.0, 100 * FORMED, 3 * FORMED, FORMED / 3, RANK, 0.0])
+    images = np.array(
+        [1.0, 100 * NORMAL_RANK_TOLERANCE, 3 * NORMAL_RANK_TOLERANCE, NORMAL_RANK_TOLERANCE / 3, RANK_TOLERANCE, 0.0]
+    )
     designs = [nearly_dependent(40, image) for image in images]
     normal = np.stack([d.T @ d for d in designs])
     roots, determined = cholesky_where_determined(normal)

@@ -1,8 +1,8 @@
-"""The reflector's bench test evaluated: the eccentricity taken off the lengths gives the error against incidence.
+"""Evaluation of a reflector's bench test: without the eccentricity, lengths give the range error over incidence.
 
-Turned by alpha, a sphere off the table's axis by c changes the length by -(c_x cos alpha - c_y sin alpha), and a probe
-tells c. An interferometer records changes only: the table is found less its value at 0 deg, a constant that a tracker's
-range offset takes up.
+A rotation by alpha of a sphere with eccentricity c changes the length by -(c_x cos alpha - c_y sin alpha), and a probe
+measures c. An interferometer records changes only: the table is determined relative to its value at 0 deg, a constant
+that belongs to the range offset of a tracker.
 
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
@@ -25,22 +25,24 @@ from ltsim.recordings.files import read_text
 from ltsim.recordings.result_file import Entry, Finite, ResultFile
 
 FEWEST_LENGTHS, FEWEST_PROBED = 3, 4
-"""A vertex has two coordinates beside the zero; an eccentricity too, and one reading more shows the scatter."""
+"""Smallest number of lengths and of probe readings: two coordinates of the vertex (or eccentricity) and the zero, and
+one more probe reading for the scatter.
+"""
 
 BENCH = Table(
     "bench.csv",
     "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
     numbers(
         ".4f",
-        angle_deg="turn of the table, 0 where the reflector looks at the interferometer",
-        length_um="length by the interferometer, from any zero",
+        angle_deg="angle of the table, 0 if the reflector faces the interferometer",
+        length_um="length by the interferometer, with any zero",
         probe_um="displacement of the sphere's surface at the probe, outward",
     ),
 )
 
 
 class EstimateEntry(Entry):
-    """A length with its standard deviation."""
+    """Estimate with its standard deviation."""
 
     value_um: Finite
     """Estimate."""
@@ -52,14 +54,14 @@ class EstimateEntry(Entry):
 
 
 class BenchRow(Entry):
-    """The reflector at one angle of incidence; all less the value nearest 0 deg."""
+    """Range error of the reflector at one angle of incidence, relative to the angle nearest 0 deg."""
 
     angle_deg: Finite
-    """Turn of the table."""
+    """Rotation of the table."""
     as_read_um: Finite
-    """Length with the eccentricity still in it."""
+    """Length before removal of the eccentricity."""
     error_um: Finite
-    """The reflector's own range error, reading minus truth."""
+    """Range error of the reflector, reading minus truth."""
     sigma_um: Finite
     """Standard deviation of the error."""
 
@@ -77,25 +79,27 @@ ANGLES = Table(
 
 
 class BenchFile(ResultFile):
-    """`bench.json`: from `bench`."""
+    """`bench.json`: the result of `bench`."""
 
     FILE: ClassVar[str] = "bench.json"
     format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
     """Format and version of this file."""
     eccentricity_forward: EstimateEntry
-    """Sphere's centre off the table's axis at 0 deg, towards the interferometer."""
+    """Eccentricity of the sphere at 0 deg, component towards the interferometer."""
     eccentricity_side: EstimateEntry
-    """The same to the side."""
+    """Eccentricity of the sphere at 0 deg, component to the side."""
     run_out_um: Finite
-    """Largest less smallest displacement that the probe saw."""
+    """Difference of the largest and the smallest probe reading."""
     angles: tuple[BenchRow, ...] = Field(alias="table")
-    """Range error against incidence."""
+    """Range error over incidence."""
     vertex_axial: EstimateEntry
-    """Vertex of the mirrors off the sphere's centre, out of the open face, if an offset is the cause."""
+    """Offset of the mirrors' vertex from the sphere's centre, component out of the open face, if an offset is the
+    cause.
+    """
     vertex_side: EstimateEntry
-    """The same to the side."""
+    """Offset of the mirrors' vertex from the sphere's centre, component to the side."""
     remainder_um: Finite
-    """Root mean square of what no offset of the vertex explains: optics."""
+    """Root mean square error that no offset of the vertex explains, caused by optics."""
 
     def _lines(self) -> list[str]:
         worst = max(self.angles, key=lambda row: abs(row.error_um))
@@ -105,7 +109,7 @@ class BenchFile(ResultFile):
             f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
             f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
             f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
-            f"what no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
+            f"part that no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
         ]
         if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
@@ -121,7 +125,7 @@ class BenchFile(ResultFile):
 
 @dataclass(frozen=True)
 class BenchRecord:
-    """Readings taken on the bench: angles [rad], lengths (a,) [m], displacements of the surface (k,) [m]."""
+    """Bench readings: angles [rad], lengths (a,) [m], probe readings of the surface (k,) [m]."""
 
     angles: Floats
     lengths: Floats
@@ -133,53 +137,53 @@ class BenchRecord:
 
 @dataclass(frozen=True)
 class BenchResult:
-    """Estimates from the bench readings; SI units."""
+    """Estimates from the bench readings, in SI units."""
 
     eccentricity: Floats
-    """(2,) [m]."""
+    """Eccentricity, (2,) [m]."""
     eccentricity_covariance: Floats
-    """(2, 2) [m^2]."""
+    """Covariance of the eccentricity, (2, 2) [m^2]."""
     run_out: float
-    """[m]: largest less smallest displacement that the probe saw."""
+    """Difference of the largest and the smallest probe reading [m]."""
     uncorrected: Floats
-    """Lengths less that nearest 0 deg: the error with the eccentricity still in it, (a,) [m]."""
+    """Lengths relative to the one nearest 0 deg, before removal of the eccentricity, (a,) [m]."""
     table: Floats
-    """The reflector's own error, less that nearest 0 deg, (a,) [m]."""
+    """Range error of the reflector, relative to the angle nearest 0 deg, (a,) [m]."""
     sigma: Floats
     """Standard deviation of `table`, (a,) [m]."""
 
 
 class Vertex(NamedTuple):
-    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left; [m] each."""
+    """Table explained by an offset of the mirrors' vertex from the sphere's centre, and the remaining error [m]."""
 
     axial: float
     side: float
-    """Out of the open face and to the side."""
+    """Components of the offset: out of the open face, and to the side."""
     axial_sigma: float
     side_sigma: float
     remainder: float
-    """Rms of what no offset explains: optics."""
+    """Root mean square error that no offset explains, caused by optics."""
 
 
 def along_beam(angles: Floats) -> Floats:
-    """Change of the length per unit of a point off the table's axis, when the table is turned, (a, 2)."""
+    """Change of the length per unit of an eccentric point when the table is rotated, (a, 2)."""
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 
 def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchRecord:
-    """A bench recording: a table ``angle_deg,length_um,probe_um``; raises RecordError where it holds too little.
+    """Bench readings from a table ``angle_deg,length_um,probe_um``; raises RecordError for too few rows.
 
-    The probe stands at `probe_direction` [rad] from the interferometer, against the way in which the table turns;
+    The probe is at the angle `probe_direction` [rad] from the interferometer, opposite to the rotation of the table;
     `length_sigma` [m] is one standard deviation of the interferometer.
     """
     angle, length, probe = BENCH.parsed(read_text(path), path).numbers(*BENCH.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
-        raise RecordError("an angle is missing, expected one a row", file=path, row=int(lost[0]) + 1)
+        raise RecordError("an angle is missing, expected one per row", file=path, row=int(lost[0]) + 1)
     for what, column, fewest in (("length_um", length, FEWEST_LENGTHS), ("probe_um", probe, FEWEST_PROBED)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
-            raise RecordError(f"holds {what} at {different} angles, expected {fewest} or more", file=path)
+            raise RecordError(f"has {what} at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
     return BenchRecord(
         angles=angle[measured] * DEGREE,
@@ -192,7 +196,7 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
 
 
 def evaluate_bench(record: BenchRecord) -> BenchResult:
-    """Take the eccentricity, as the probe tells it, off the lengths.
+    """Estimates of a bench test, with the eccentricity measured by the probe removed from the lengths.
 
     The scatter of the probe about its first harmonic, roundness included, gives the eccentricity's uncertainty.
     """
@@ -217,7 +221,7 @@ def evaluate_bench(record: BenchRecord) -> BenchResult:
 
 
 def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
-    """Explain a table (a,) [m] at `angles` by an offset of the vertex; `sigma` [m] of one entry."""
+    """Offset of the vertex that explains a table (a,) [m] at `angles`; `sigma` [m] of one entry."""
     design = np.concatenate([np.ones((len(angles), 1)), along_beam(angles)], axis=1)
     estimate = np.linalg.lstsq(design, table, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
@@ -226,7 +230,7 @@ def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
-    """Find a reflector's range error against incidence from its test on a roundness table.
+    """Range error of a reflector over incidence, from its test on a roundness table.
 
     Parameters
     ----------

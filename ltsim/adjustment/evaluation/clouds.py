@@ -1,9 +1,9 @@
-"""Each station's targets as points in its own frame, all stations brought into one frame, and their error to the truth.
+"""Targets of each station in its own frame, alignment of stations to one frame, errors relative to the truth.
 
-Only a simulation knows the truth. The error of a recording has a part that no parameters remove (noise, effects outside
-the model) and a part that the true parameters would remove, the correctable one. In mean squares they add, so the share
-of a method is (R - C) / (R - P) of the mean squares of raw, calibrated and perfectly corrected readings, over all
-trials together: 1 for a calibrator that found the truth, 0 for one that did nothing, negative for one that did harm.
+The truth is known in simulations only. The error of a recording has a part that no parameters remove (noise, unmodelled
+effects) and a correctable part that the true parameters would remove. Their mean squares add, so that the share of a
+method is (R - C) / (R - P) of the mean squares of raw, calibrated and perfectly corrected readings, over all trials
+together: 1 for a calibrator with the true parameters, 0 for one without effect, negative for one that increases errors.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from ltsim.recordings.recording import Recording
 def measured_points(
     recording: Recording, construction: Construction | None = None, values: Floats | None = None
 ) -> Floats:
-    """Points (n, 3) [m] in the instruments' frames; NaN where a reading is missing.
+    """Measured points (n, 3) [m] in the instruments' frames; NaN for incomplete pointings.
 
     They are corrected by a construction's parameters (p,), or (n, p) where instruments differ [SI]; by default raw.
     """
@@ -36,7 +36,7 @@ def measured_points(
 
 
 def station_means(recording: Recording, points: Floats, use: Bools | None = None) -> Floats:
-    """Mean (S, T, 3) over faces and repeats of the points (n, 3) of each station and target; NaN: none."""
+    """Mean (S, T, 3), over faces and repeats, of the points (n, 3) of each station and target; NaN for none."""
     size = (len(recording.stations), len(recording.targets))
     whole = np.isfinite(points).all(axis=1)
     if use is not None:
@@ -49,9 +49,9 @@ def station_means(recording: Recording, points: Floats, use: Bools | None = None
 
 
 def on_points(cloud: Floats, goal: Floats) -> Floats:
-    """A cloud (T, 3) moved rigidly onto `goal` (T, 3) by least squares over the targets both have.
+    """Cloud (T, 3) aligned rigidly to `goal` (T, 3) by least squares over common targets.
 
-    Raises NetworkError when they share fewer than three targets off one line.
+    Raises NetworkError for fewer than three common targets that are not collinear.
     """
     shared = np.isfinite(cloud[:, 0]) & np.isfinite(goal[:, 0])
     rotation, translation = align(cloud[shared], goal[shared])
@@ -59,11 +59,10 @@ def on_points(cloud: Floats, goal: Floats) -> Floats:
 
 
 def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
-    """Clouds (S, T, 3), each moved rigidly into the first station's frame.
+    """Clouds (S, T, 3), each aligned rigidly to the first station's frame.
 
-    A station that shares fewer than three targets with the first is moved onto the mean of those that are
-    there already; the paper's stations all see all targets. Raises NetworkError, naming a station that cannot be
-    joined.
+    A station with fewer than three targets in common with the first is aligned to the mean of those aligned before; in
+    the paper all stations see all targets. Raises NetworkError with the name of a station that cannot be aligned.
     """
     placed = np.full_like(clouds, np.nan)
     placed[0] = clouds[0]
@@ -92,7 +91,7 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
 
 @dataclass(frozen=True)
 class ShareRemoved:
-    """Root-mean-square errors against the truth [m]."""
+    """Root mean square errors relative to the truth [m]: raw, calibrated, with true parameters."""
 
     raw: float
     calibrated: float
@@ -100,22 +99,25 @@ class ShareRemoved:
 
     @property
     def share(self) -> float:
-        """Share of the correctable mean square that was removed."""
+        """Fraction of the correctable mean square that was removed."""
         return share(self.raw, self.calibrated, self.true_parameters)
 
 
 def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floats | float) -> float:
-    """Share of the correctable mean square that was removed, of the errors (N,) of N trials; NaN: nothing was."""
+    """Fraction of the correctable mean square that was removed, from the errors (N,) of N trials.
+
+    It is NaN if nothing is correctable.
+    """
     squares = (float(np.nanmean(np.square(error))) for error in (raw, calibrated, true_parameters))
     before, after, perfect = squares
     return (before - after) / (before - perfect) if before > perfect else float("nan")
 
 
 def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> float:
-    """Rms [m] over stations and targets of the distance to the truth, after a rigid fit of each station.
+    """Rms distance [m] to the truth over stations and targets, after a rigid fit of each station.
 
-    `points` (n, 3) [m] are in the instruments' frames. A pose is never known: an error that it absorbs whole (azimuth
-    index, station height) is none to a user.
+    `points` (n, 3) [m] are in the instruments' frames. Poses are unknown to users: an error that the pose absorbs
+    completely (azimuth index, station height) is not counted.
     """
     clouds = station_means(recording, points)
     gap = np.stack([on_points(cloud, true_points) - true_points for cloud in clouds])

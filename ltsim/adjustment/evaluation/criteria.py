@@ -1,8 +1,8 @@
-"""Disagreement of stations in distances and coordinates, and deviations from nominal points: the paper's criteria.
+"""The paper's criteria: disagreement of stations in distances and coordinates, and deviations from nominal points.
 
 Without nominal data (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): equation 11 lacks an absolute value and takes
-station 1, while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
-the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+station 1, while section 3.2.1 takes deviations from the mean over stations; both are available under different names:
+`distance` is the mean-based one behind the paper's Table 3, `distance_to_first` the other.
 
 The laboratory verification, a calibrated tracker against nominal points from a CMM, has equations 13 and 14 as they are
 meant: eq. 13 compares distances between targets i and j as the tracker measured them from one station with the same
@@ -31,12 +31,12 @@ from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, SourceEntry
 
 MOST_PLACES = 20_000_000
-"""Stations times targets whose clouds (0.5 GB then) are compared."""
+"""Largest number of stations times targets whose clouds are compared (0.5 GB of memory)."""
 
 
 @dataclass(frozen=True)
 class Differences(ValueEquality):
-    """Sizes of disagreement (k,) [m]: one a pair of targets for distances, one a target for coordinates."""
+    """Disagreement (k,) [m], one value per pair of targets for distances, one per target for coordinates."""
 
     values: Floats
 
@@ -53,7 +53,7 @@ class Differences(ValueEquality):
 
 CRITERIA = Table(
     "criteria.csv",
-    "how far stations disagree, before and after a calibration",
+    "disagreement of the stations, before and after a calibration",
     (
         Column("criterion", "of the paper", "text"),
         Column("mean_um", "over pairs of targets, or targets", shown=".1f"),
@@ -71,7 +71,7 @@ class SpreadEntry(Entry):
     mean_um: OptionalFloat = None
     """Mean over pairs or targets."""
     max_um: OptionalFloat = None
-    """Largest."""
+    """Maximum over pairs or targets."""
 
     @classmethod
     def of(cls, differences: Differences) -> Self:
@@ -80,18 +80,18 @@ class SpreadEntry(Entry):
 
 
 class CriterionEntry(Entry):
-    """A criterion before and after a calibration."""
+    """Criterion before and after a calibration."""
 
     before: SpreadEntry = SpreadEntry()
-    """Readings as they are."""
+    """Disagreement of the uncorrected readings."""
     after: SpreadEntry | None = None
-    """Readings corrected; null without a calibration."""
+    """Disagreement of the corrected readings; null without a calibration."""
     improvement_percent: OptionalFloat = None
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
     @classmethod
     def of(cls, before: Differences, after: Differences | None = None) -> Self:
-        """The criterion of the disagreement before a calibration and, where there is one, after it."""
+        """Criterion from the disagreement before and (if available) after a calibration."""
         if after is None:
             return cls(before=SpreadEntry.of(before))
         percent = None if before.mean == 0 else 100.0 * (1.0 - after.mean / before.mean)
@@ -99,7 +99,7 @@ class CriterionEntry(Entry):
 
     @property
     def words(self) -> str:
-        """Mean before and after in um, in a line."""
+        """Text of the mean before and after in um, in one line."""
         if self.before.mean_um is None:
             return NONE
         before = f"{self.before.mean_um:.1f} um"
@@ -151,10 +151,10 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Iterator over points: k observers of each point, and its distances (k, m) [m] to later points as they see them.
+    """Iterator over points: the k observers of each point, and its distances (k, m) [m] to later points.
 
-    `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen. Pairs that fewer than the least number of
-    observers see are left out: memory follows what is seen, not all pairs.
+    `clouds` (S, T, 3) [m] are each observer's points, NaN if not observed. Pairs with fewer than `least` observers are
+    omitted, so that memory depends on observed pairs only.
     """
     measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -166,8 +166,8 @@ def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Flo
 def distance_differences(clouds: Floats) -> Differences:
     """Mean over stations of |distance - its mean over stations| for each pair of targets (section 3.2.1).
 
-    `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN where not seen. Pairs seen by one station
-    are left out.
+    `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN if not observed. Pairs with one observer are
+    omitted.
     """
     lengths = (length for _, length in lengths_of_pairs(clouds, 2))
     means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
@@ -182,9 +182,9 @@ def distance_differences_to_first(clouds: Floats) -> Differences:
 
 
 def coordinate_differences(placed: Floats) -> Differences:
-    """Mean over pairs of stations of the distance between the two positions of each target (eq. 12).
+    """Mean over pairs of stations of the distance between their two positions of each target (eq. 12).
 
-    `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN where not seen.
+    `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN if not observed.
     """
     total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
     for targets, gap in lengths_of_pairs(np.swapaxes(placed, 0, 1)):
@@ -202,18 +202,18 @@ def evaluate(
     shift: Floats | None = None,
     use: Bools | None = None,
 ) -> CriteriaEntry:
-    """The criteria of a recording, before and after parameters (p,) or (n, p) [SI] of a construction correct it.
+    """Criteria of a recording, before and after correction by parameters (p,) or (n, p) [SI] of a construction.
 
-    `shift` (n, 3) [m, rad, rad] is what effects that were estimated too change the readings by: "after" takes it out.
-    Of the pointings in use (n,), faces and repeats of a target from a station are averaged. Raises NetworkError when
-    fewer than two stations share targets, the network is too large to compare every station's cloud, or SMRs of
-    several radii stood at different places.
+    `shift` (n, 3) [m, rad, rad] is the change of the readings by estimated effects, which "after" subtracts. Faces and
+    repeats of the pointings in use (n,) are averaged by station and target. Raises NetworkError if fewer than two
+    stations have common targets, if the network is too large for a comparison of all clouds, and if SMRs of several
+    radii were at different positions.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
     if stations * targets > MOST_PLACES:
         raise NetworkError(
-            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts of it"
+            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
         )
     before = station_means(recording, measured_points(recording), use)
     after = None
@@ -239,12 +239,15 @@ def evaluate(
 
 
 def _without(recording: Recording, shift: Floats | None) -> Recording:
-    """The recording with a change (n, 3) taken out of its readings."""
+    """Recording with a change (n, 3) subtracted from its readings."""
     return recording if shift is None else recording.with_readings(recording.readings - shift)
 
 
 def _to_first(before: Floats, after: Floats | None) -> dict[str, CriterionEntry]:
-    """Eq. 11 by the name of its field; empty where no other station shares a pair of targets with the first."""
+    """Criterion of eq. 11 by the name of its field.
+
+    It is empty if no other station shares a pair of targets with the first.
+    """
     differences = distance_differences_to_first(before)
     if not len(differences.values):
         return {}
@@ -287,10 +290,10 @@ def verify(
     *,
     shift: Floats | None = None,
 ) -> CriteriaEntry:
-    """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
+    """Errors of a laboratory recording relative to nominal points (3,) [m], before and after calibration.
 
-    "After" applies parameters (p,) or (n, p) [SI] and takes `shift` (n, 3) out of the readings. Raises NetworkError
-    when a station saw fewer than three nominal targets.
+    "After" applies parameters (p,) or (n, p) [SI] and subtracts `shift` (n, 3) from the readings. Raises NetworkError
+    if a station measured fewer than three nominal targets.
     """
     missing = np.full(3, np.nan)
     goal = np.stack([nominal.get(name, missing) for name in recording.targets])

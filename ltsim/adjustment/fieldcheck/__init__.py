@@ -1,4 +1,4 @@
-"""Go or no-go in the field: one set-up at a time, from what was measured twice."""
+"""Go or no-go in the field, from repeated measurements of each set-up."""
 
 from ltsim.adjustment.fieldcheck.check import (
     check as check,

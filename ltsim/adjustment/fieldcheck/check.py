@@ -1,8 +1,8 @@
-"""`check`: every set-up of a recording judged by what it measured twice, with the price of many looks paid.
+"""Field check: tests of every set-up by repeated measurements, with corrected p-values.
 
-All tests of a recording share one chance of a false alarm, `level`. The tests of single set-ups have one half of it and
-those of the network the other, each an equal part (Bonferroni), and within a test so has each target, gap or pointing
-that was looked at.
+All tests of a recording share one false-alarm probability, `level`. Half of it belongs to the tests of single set-ups
+and half to those of the network, in equal parts for each test (Bonferroni), and within a test in equal parts for each
+target, gap or pointing that was tested.
 """
 
 from collections.abc import Callable, Mapping
@@ -43,27 +43,27 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
 MOST_GROSS = 0.1
-"""Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
+"""Largest fraction of a set-up's pointings that may be gross errors; with more, the declared noise is wrong."""
 TESTS = 6
-"""Tests of one set-up."""
+"""Number of tests of one set-up."""
 
 
 Words = Callable[[Recording, ColumnsFit, bool], str]
 MIN_TARGET_DOF = 6.0
-"""Degrees of freedom from which a target shows a scatter of its own."""
+"""Smallest number of degrees of freedom at which the scatter of a target is tested separately."""
 
 
 def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple[float, float] | None = None) -> Check:
-    """Go or no-go in the field: two-face differences, repeated points, drift, bumps and scatter.
+    """Field check of a recording: two-face differences, repeated points, drift, bumps and scatter.
 
     Parameters
     ----------
     recording : Recording, str or Path
     level : float
-        Chance of one false alarm in the whole recording, if noise and guarantee are as stated.
+        Chance of one false alarm in the whole recording, if noise and specification are correct.
     mpe : pair of float, optional
-        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the stated noise
-        and what the maker guarantees.
+        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the noise
+        and the specification of the instrument.
 
     Raises
     ------
@@ -102,13 +102,15 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
         network = (*scattering, *together)
     result = Check.of(CheckArrays(whole, setups), network, level, causes)
     if not result.items:
-        message = "no station measured a target twice, so nothing can be checked yet; "
+        message = "no station measured a target twice, so no test is possible yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return result
 
 
 def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> Check:
-    """Write `check.json`, `two_face.csv` and `further` texts (a picture) into a folder; the check with their digests.
+    """Writing of `check.json`, `two_face.csv` and `further` texts (a figure) into a folder.
+
+    Returns the check with their digests.
 
     Raises
     ------
@@ -122,7 +124,7 @@ def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> Check
 def _set_up(
     whole: Recording, paired: Recording, station: int, family: Family, mpe: tuple[float, float] | None
 ) -> SetUp:
-    """Tests of a set-up; its two faces are compared as `paired` has them, outliers among them."""
+    """Tests of a set-up; its two-face differences are those of `paired`, including outliers."""
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = declared_construction(recording)
@@ -135,7 +137,7 @@ def _set_up(
         Faces.of(two_faced, two_faced.with_readings(motionless), construction, family.alpha_per_test, mpe),
     )
     if faces is not None:
-        limit = "noise and guarantee" if mpe is None else "the limit"
+        limit = "noise and specification" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
         pair = tuple(rows[worst].tolist())
         items.append(Item.of(name, "two-face", not targets, sentence, targets=targets, rows=pair))
@@ -154,7 +156,7 @@ def _set_up(
 
 @dataclass(frozen=True)
 class SetUpTests:
-    """Items on pointings and motions of an occupation, the occupation without these, readings without motions."""
+    """Items on pointings and motions of an occupation, the occupation without these, and readings without motions."""
 
     items: tuple[Item, ...]
     remaining: StationOccupation
@@ -184,7 +186,10 @@ def _test_setup(visit: StationOccupation, construction: Construction, family: Fa
 
 
 def _scatter_by_target(visit: StationOccupation, family: Family) -> Floats | None:
-    """Scatter (n, 1) of each pointing's target over the stated noise, where targets scatter differently (Bartlett)."""
+    """Ratio (n, 1) of the scatter at each pointing's target to the declared noise.
+
+    It is None if all targets have equal scatter (Bartlett).
+    """
     chi2, dof = visit.scatter()
     is_testable = dof >= MIN_TARGET_DOF
     variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
@@ -203,7 +208,7 @@ def _scatter_by_target(visit: StationOccupation, family: Family) -> Floats | Non
 def _events(
     visit: StationOccupation, construction: Construction, family: Family
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
-    """Gross pointings with their chances, taken out one by one until a bump explains more than the next would."""
+    """Gross pointings with p-values, removed one by one until a bump explains more than the next one, and the bump."""
     gross: dict[int, float] = {}
     most = max(1, MOST_GROSS * len(visit.use))
     while True:
@@ -223,7 +228,7 @@ def _events(
 
 
 def best_bump(visit: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
-    """The gap in which a motion of the station explains most, what it explains, and how many gaps there are."""
+    """Gap in which a motion of the station explains most, its fit, and the number of gaps."""
     tried = [bump for bump in StationBump.candidates(visit.sightings) if _witnesses(visit, bump) >= WITNESSES]
     if not tried:
         return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
@@ -243,7 +248,7 @@ def _witnesses(visit: StationOccupation, bump: StationBump) -> int:
 
 
 def _neg_log_p(explained: ColumnsFit) -> float:
-    """Negative log p-value of the fall of chi-square under the declared noise."""
+    """Negative log p-value of the chi-square decrease under the declared noise."""
     return float(neg_log_p_chi2(explained.drop, explained.rank))
 
 
@@ -258,7 +263,7 @@ def _of_gross(visit: StationOccupation, gross: Mapping[int, float], rows: Ints, 
 def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, family: Family) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     if bump is None:
-        return Item.of(name, "bump", True, f"{name}: no motion at once")
+        return Item.of(name, "bump", True, f"{name}: no sudden motion")
     explained = visit.explained(bump.design(visit.sightings))
     order = np.argsort(recording.time, kind="stable")
     at = int(np.searchsorted(recording.time[order], bump.time))
@@ -271,7 +276,7 @@ def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, fam
 
 
 def _zeros(visit: StationOccupation) -> Floats:
-    """Change (n, 3, 2) of the readings per second and unit by even drifts of the range zero and the vertical index."""
+    """Change (n, 3, 2) of the readings per second by unit drift rates of the range zero and the vertical index."""
     laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], by_runs(visit.sightings)
     return np.concatenate([law.design(sightings) for law in laws], axis=2)
 
@@ -284,20 +289,24 @@ def _drift(visit: StationOccupation, family: Family, kind: Kind, design: Floats,
 
 
 def _closure(visit: StationOccupation, family: Family) -> Item:
-    """Scatter of repeated pointings against the stated noise, two-sided; less noise than stated passes with a word."""
+    """Item on the scatter of repeated pointings relative to the declared noise, two-sided.
+
+    Smaller noise passes with a remark.
+    """
     name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
     if visit.dof < 1:
-        return Item.of(name, "closure", True, f"{name}: what is left of its repeated pointings tells no scatter")
+        return Item.of(name, "closure", True, f"{name}: too few repeated pointings for an estimate of the scatter")
     p, less = two_sided(visit.chi2, visit.dof)
     p = family.adjusted(p)
-    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the stated noise ({visit.dof} degrees of freedom)"
+    freedom = f"{visit.dof} degrees of freedom"
+    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the declared noise ({freedom})"
     if p >= family.level:
-        return Item.of(name, "closure", True, f"{scatter}, as it should be", p)
-    return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
+        return Item.of(name, "closure", True, f"{scatter}, as expected", p)
+    return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than declared", p)
 
 
 def _scattering(visit: StationOccupation, remaining: StationOccupation, family: Family) -> Item:
-    """The closure of a set-up whose targets scatter each in its own way."""
+    """Item on the scatter of a set-up whose targets have different scatter."""
     closure, (chi2, dof) = _closure(remaining, family), remaining.scatter()
     shown = np.flatnonzero(dof >= MIN_TARGET_DOF)
     shown = shown[np.argsort(-chi2[shown] / dof[shown], kind="stable")]

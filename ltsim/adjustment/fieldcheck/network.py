@@ -1,4 +1,4 @@
-"""Tests of all stations of a recording together: agreement on their common targets and on the vertical."""
+"""Tests of all stations of a recording together: agreement on common targets and on the vertical."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -27,15 +27,15 @@ from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import median_deviation
 
 NETWORK_TESTS = 2
-"""Tests of all stations together: common targets, and levels."""
+"""Number of tests of all stations together: common targets, and levels."""
 TESTED: tuple[Kind, ...] = ("point", "difference", "length", "mark", "scale")
-"""Known values that may be left out; levels are tested one by one."""
+"""Kinds of reference values that may be excluded; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
 
 
 def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
-    """The network as `adjust` has it, with stations that moved, or why there is none."""
+    """Network as of `adjust`, with moving stations, or the error if there is none."""
     try:
         plain = adjust(recording, effects=motions, robust=bool(motions), judging=TESTED)
         require_usable(plain)
@@ -45,10 +45,10 @@ def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adj
 
 
 def with_target_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, tuple[Item, ...]]:
-    """The recording with readings to targets that scatter far more than all others as uncertain as they show.
+    """Recording with the noise of much noisier targets set to their scatter, and items on them.
 
-    What `adjust` says of such targets is an item where they still do beside the instrument's errors, which bend the
-    readings to near and steep ones most; none of their pointings is one to measure again for that alone.
+    Noisy targets reported by `adjust` give an item if they remain noisy when the instrument's errors are estimated,
+    since these affect near and steep targets most. Their pointings need not be repeated for that reason alone.
     """
     if plain.rejected_references or not len(plain.noisy_targets[0]):
         return recording, ()
@@ -65,7 +65,8 @@ def with_target_noise(recording: Recording, plain: Adjustment) -> tuple[Recordin
     )
     shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
     names = tuple(recording.targets[t] for t in named)
-    sentence = f"readings to {', '.join(names)} scatter {ratio:.2g} times the stated noise, the others {rest:.2g} times"
+    scatter_words = f"scatter {ratio:.2g} times the declared noise, the others {rest:.2g} times"
+    sentence = f"readings to {', '.join(names)} {scatter_words}"
     return shown, (Item.of("", "closure", False, f"{sentence}: these targets are unstable", targets=names),)
 
 
@@ -80,7 +81,7 @@ def items_of_network(
 ) -> tuple[Item, ...]:
     """Tests of the agreement of stations, with estimated errors of the instrument; empty if no comparison is possible.
 
-    `plain` is the network of `adjust`, with the declared noise even if the recording is one `with_target_noise`;
+    `plain` is the network of `adjust` with the declared noise, even for a recording with increased noise of targets;
     `motions` of stations were estimated from their single set-ups, those `moving` from the network.
     """
     try:
@@ -142,16 +143,19 @@ def _at_work(without: Adjustment, fitted: Adjustment) -> bool:
 
 
 def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list[Item]:
-    """Items on the agreement of the stations without pointings `is_explained` (n,) by a blunder, the worst first."""
+    """Items on the agreement of the stations, the worst first.
+
+    Pointings that a blunder explains (`is_explained` (n,)) are excluded.
+    """
     recording, out = fitted.recording, fitted.rejected.any(axis=1) & ~is_explained
     alone, less = two_sided(fitted.chi2, fitted.dof)
     p = family.adjusted(alone)
-    scatter = f"sigma0 {fitted.sigma0:.2f} where the stated noise gives 1 ({fitted.dof} degrees of freedom)"
+    scatter = f"sigma0 {fitted.sigma0:.2f} where the declared noise gives 1 ({fitted.dof} degrees of freedom)"
     if not out.any():
         passed = less or p >= family.level
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < GLOBAL_LEVEL:
-            scatter += f", as noise brings it in one network of {1 / alone:.0f}"
+            scatter += f"; noise alone gives this in one of {1 / alone:.0f} networks"
         return [Item.of("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
     size = np.nan_to_num(np.abs(fitted.residuals / fitted.problem.sigma)).max(axis=1)
     rows = np.flatnonzero(out)
@@ -165,13 +169,13 @@ def _of_targets(fitted: Adjustment, is_explained: Bools, family: Family) -> list
 
 
 def _of_levels(fitted: Adjustment, family: Family) -> list[Item]:
-    """The level of each levelled station against the vertical of the others, through their common targets."""
+    """Items on the level of each levelled station relative to the vertical of the others, by their common targets."""
     items, levels = [], fitted.problem.levels
     declared = {fitted.recording.stations[k]: sigma for k, sigma in zip(levels.station, levels.sigma, strict=True)}
     for test in reference_tests(fitted.problem, fitted.solution) if len(levels) > 1 else ():
         if test.kind == "level" and (declared[test.name] / test.sigma_error.min()) ** 2 > CHECKED:
             p = family.adjusted(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
-            verb = "agrees with" if p >= family.level else "is off"
+            verb = "agrees with" if p >= family.level else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the others ({test.error_text})"
             items.append(Item.of(test.name, "level", p >= family.level, sentence, p))
     return items

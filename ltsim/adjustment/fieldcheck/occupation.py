@@ -1,13 +1,13 @@
-"""Model of a single set-up: repeated pointings after a fit of targets and the instrument's errors.
+"""Model of a single set-up: repeated pointings after a fit of targets and instrument errors.
 
-Every target measured twice, on the other face or again later, leaves redundancy that needs no second station. The
-linear model has three coordinates a target and the instrument's parameters; a suspect (a bump, a drift, one gross
-pointing) is judged by how much chi-square falls when its columns join.
+Every target measured twice, on the other face or later, provides redundancy without a second station. The linear model
+has three coordinates per target and the instrument's parameters; a suspected cause (a bump, a drift, a gross pointing)
+is tested by the chi-square decrease of its columns.
 
-Two-face differences, half of face 1 minus face 2, are judged target by target. Their limit is the stated noise and,
-since a tracker within its specification has such differences too, the spread that the guaranteed errors of axes, beam
-and encoders would give at that place (`setup.toml`, [instrument.prior]). A limit of its own, A um + B um/m of the full
-difference as a length (the form of ASME B89.4.19), is compared as it stands.
+Two-face differences, half of face 1 minus face 2, are tested target by target. Their limit includes the declared noise
+and, since a tracker within its specification has such differences too, the differences that the specified errors of
+axes, beam and encoders cause at that position (`setup.toml`, [instrument.prior]). A limit given as A um + B um/m of the
+full difference as a length (the form of ASME B89.4.19) replaces it.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 FELT = 0.1
-"""Directions of the instrument's errors that change no reading by this part of its sigma are left out."""
+"""Smallest change of a reading, in its sigma, by a direction of the instrument's errors that is kept in the model."""
 REDUNDANT = 0.05
-"""Redundancy below which an error of a reading does not show."""
+"""Redundancy below which an error of a reading is not visible."""
 DETERMINED_SHARE = 0.999
-"""Share of a parameter that the directions which readings feel must hold before it has a value."""
+"""Fraction of a parameter within the determined directions above which its value is reported."""
 SHOWN = 0.01
-"""Share of what a suspect does to the readings that targets and instrument must leave, to say anything of it."""
+"""Fraction of a suspected cause's signature that must remain after targets and instrument for a test."""
 HELD = 1e-6
-"""Singular value of whitened columns, against the largest, from which they count as one direction less."""
+"""Smallest singular value of whitened columns, relative to the largest, that counts as a separate direction."""
 
 
 @dataclass(frozen=True)
 class ColumnsFit:
-    """Least-squares fit of columns to an occupation: fall of chi-square, rank, estimate and its covariance.
+    """Least-squares fit of columns to an occupation: chi-square decrease, rank, estimate and covariance.
 
-    The variance is infinite for a value that no repeatedly measured target determines.
+    The variance of an undetermined value is infinite.
     """
 
     drop: float
@@ -53,7 +53,7 @@ class ColumnsFit:
     covariance: Floats
 
     def size(self, which: slice) -> tuple[float, float]:
-        """Length of some of the values, and its standard deviation."""
+        """Length of a part of the estimate, and its standard deviation."""
         part, spread = self.values[which], self.covariance[which, which]
         length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
@@ -64,22 +64,22 @@ class ColumnsFit:
 
 @dataclass(frozen=True)
 class StationOccupation:
-    """A set-up with its readings whitened, and targets and instrument projected out of them."""
+    """Occupation: a set-up with whitened readings, from which targets and instrument errors are projected out."""
 
     recording: Recording
-    """Recording of this station alone."""
+    """Recording of this station."""
     sightings: Sightings
-    """Instrument frame."""
+    """Sightings in the instrument frame."""
     use: Bools
-    """Pointings in use, (n,)."""
+    """Flags (n,) of the pointings in use."""
     whitened: Floats
-    """(n, 3): what is left of the readings over their sigmas, 0 where not in use."""
+    """Residuals of the readings divided by sigma, (n, 3); 0 for unused ones."""
     by_target: Floats
-    """Orthonormal columns of each pointing's own target, (n, 3, 3)."""
+    """Orthonormal columns of each pointing's target, (n, 3, 3)."""
     by_instrument: Floats
-    """Orthonormal columns of the instrument's errors, across all targets, (n, 3, k)."""
+    """Orthonormal columns of the instrument's errors over all targets, (n, 3, k)."""
     sigma: Floats
-    """(n, 3)."""
+    """Standard deviations of the readings, (n, 3)."""
     dof: int
     """Degrees of freedom."""
 
@@ -87,7 +87,10 @@ class StationOccupation:
     def of(
         cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
     ) -> StationOccupation:
-        """Occupation of a recording's station; `use` (n,) excludes pointings, `sigma` (n, 3) overrides the noise."""
+        """Occupation of a recording's station.
+
+        `use` (n,) selects pointings, `sigma` (n, 3) replaces the declared noise.
+        """
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
         weight = recording.usable & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
@@ -110,16 +113,16 @@ class StationOccupation:
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of squares of what targets and instrument leave."""
+        """Weighted sum of squared residuals after targets and instrument errors."""
         return float(np.sum(self.whitened**2))
 
     @property
     def weight(self) -> Floats:
-        """Inverse standard deviations (n, 3) of the readings in use, 0 elsewhere."""
+        """Inverse standard deviations (n, 3) of the readings in use, 0 for others."""
         return np.where(self.recording.usable & self.use[:, None], 1.0 / self.sigma, 0.0)
 
     def projected(self, columns: Floats) -> Floats:
-        """Whitened columns (n, 3, c) without what targets and instrument would take of them."""
+        """Whitened columns (n, 3, c) with targets and instrument errors projected out."""
         on_target = np.einsum("nij,nic->njc", self.by_target, columns)
         together = np.zeros((len(self.recording.targets), *on_target.shape[1:]))
         np.add.at(together, self.recording.target, on_target)
@@ -130,7 +133,10 @@ class StationOccupation:
         return np.asarray(rest)
 
     def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
-        """Unit columns (3 n, c) of a suspect and their lengths (c,); both 0 where targets and instrument take all."""
+        """Unit columns (3 n, c) of a suspected cause and their lengths (c,).
+
+        It is 0 if targets and instrument errors absorb them.
+        """
         whole = design * self.weight[:, :, None]
         columns = self.projected(whole).reshape(-1, design.shape[2])
         length = np.linalg.norm(columns, axis=0)
@@ -150,7 +156,7 @@ class StationOccupation:
         return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
 
     def p_value(self, explained: ColumnsFit) -> float:
-        """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""
+        """p-value of a chi-square decrease: the larger of those by the declared and by the estimated noise."""
         if not explained.rank or self.dof <= explained.rank:
             return 1.0
         by_declared = float(special.chdtrc(explained.rank, explained.drop))
@@ -159,7 +165,7 @@ class StationOccupation:
         return max(by_declared, float(special.fdtrc(explained.rank, rest, ratio)))
 
     def without(self, design: Floats) -> StationOccupation:
-        """The occupation with the columns (n, 3, c) of a suspect fitted too."""
+        """Occupation with the columns (n, 3, c) of a suspected cause fitted too."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
         rest = self.whitened.ravel() - added @ (added.T @ self.whitened.ravel())
@@ -167,7 +173,7 @@ class StationOccupation:
         return replace(self, whitened=rest.reshape(-1, 3), by_instrument=basis, dof=self.dof - added.shape[1])
 
     def scatter(self) -> tuple[Floats, Floats]:
-        """Chi-square (T,) of each target's pointings, and the degrees of freedom that it has."""
+        """Chi-square (T,) of each target's pointings, and its degrees of freedom."""
         leverage = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
         redundancy = np.where(self.weight > 0, 1.0 - leverage, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
@@ -183,12 +189,12 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def spread(self, target: int) -> float:
-        """Standard deviation [m] of the points of a target, along one axis."""
+        """Standard deviation [m] of the points of a target along one axis."""
         points = from_polar(self.recording.readings[self.use & np.asarray(self.recording.target == target)])
         return float(np.sqrt(np.nanmean(np.nanvar(points, axis=0, ddof=1))))
 
     def of_pointings(self) -> tuple[Floats, Ints]:
-        """Fall of chi-square (n,) if a pointing were left out, and by how many readings (n,) that is judged."""
+        """Chi-square decrease (n,) if a pointing is removed, and number of readings (n,) that test it."""
         response = np.eye(3) - np.einsum("nij,nkj->nik", self.by_target, self.by_target)
         response = response - np.einsum("nij,nkj->nik", self.by_instrument, self.by_instrument)
         in_use = self.weight > 0
@@ -201,7 +207,7 @@ class StationOccupation:
 
 
 def _state(recording: Recording, use: Bools) -> State:
-    """The instrument at the origin, targets at the mean of their pointings."""
+    """State with the instrument at the origin and targets at the mean of their pointings."""
     points = from_polar(recording.readings)
     whole = np.isfinite(points).all(axis=1)
     good = whole & use if (whole & use).any() else whole
@@ -214,7 +220,7 @@ def _state(recording: Recording, use: Bools) -> State:
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
-    """An orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
+    """Orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
     bases, ranks = np.zeros_like(columns), 0
     for t in range(count):
         rows = np.flatnonzero(target == t)
@@ -228,18 +234,18 @@ def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[F
 
 @dataclass(frozen=True)
 class Faces:
-    """Two-face half differences of one set-up."""
+    """Two-face half differences of one set-up with their limits."""
 
     pairs: TwoFace
     """Two-face pairs, uncorrected."""
     still: TwoFace
     """Two-face pairs without the contribution of a moving station or a drifting instrument."""
     noise: Floats
-    """Standard deviation of each half difference by the stated noise, (m, 3) [m, rad, rad]."""
+    """Standard deviation of each half difference by the declared noise, (m, 3) [m, rad, rad]."""
     over: Bools
-    """(m, 3): what is `still` beyond the limit."""
+    """Flags (m, 3) of the half differences (without motions) that exceed their limits."""
     limit: Floats
-    """Largest half difference that passes, (m, 3)."""
+    """Largest permitted half difference, (m, 3)."""
 
     @classmethod
     def of(
@@ -250,7 +256,7 @@ class Faces:
         level: float,
         mpe: tuple[float, float] | None,
     ) -> Faces | None:
-        """The differences of a recording of one station; None where no target was measured on both faces.
+        """Differences of a recording with one station; None if no target was measured on both faces.
 
         `still` has its readings without motions.
 
@@ -280,12 +286,12 @@ class TwoFace:
     """Pairs of pointings of one station to one target on both faces."""
 
     rows: Ints
-    """Rows of the recording: face 1, face 2, (m, 2)."""
+    """Rows of the recording with face 1 and face 2, (m, 2)."""
     place: Floats
     """Mean front-face range, azimuth, elevation, (m, 3) [m, rad, rad]."""
     half: Floats
-    """(m, 3) [m, rad, rad]: half of face 1 minus face 2: range, azimuth across the beam (times the cosine of the
-    elevation), elevation.
+    """Half of face 1 minus face 2, (m, 3) [m, rad, rad]: range, azimuth perpendicular to the beam (times the cosine of
+    the elevation), elevation.
     """
 
     def __len__(self) -> int:
@@ -293,16 +299,16 @@ class TwoFace:
 
     @property
     def rms(self) -> Floats:
-        """(3,) root mean square of the half differences: range [m], azimuth across the beam, elevation [rad]."""
+        """Root mean square (3,) of the half differences: range [m], azimuth across the beam and elevation [rad]."""
         return np.sqrt(np.mean(self.half**2, axis=0))
 
     @property
     def median(self) -> Floats:
-        """(3,) median of the absolute half differences, which a few gross errors do not move."""
+        """Median (3,) of the absolute half differences, insensitive to a few gross errors."""
         return np.median(np.abs(self.half), axis=0)
 
     def only(self, pairs: Bools) -> Self:
-        """Subset of the pairs, (m,) bool."""
+        """Selection of the pairs by flags (m,)."""
         return replace(self, rows=self.rows[pairs], place=self.place[pairs], half=self.half[pairs])
 
 
@@ -319,10 +325,10 @@ def face_pairs(recording: Recording) -> Ints:
 
 
 def two_face(recording: Recording, construction: Construction | None = None, values: Floats | None = None) -> TwoFace:
-    """Half differences of a recording, with parameters (p,) or (n, p) [SI] of a construction applied.
+    """Two-face half differences of a recording, corrected with parameters (p,) or (n, p) [SI] of a construction.
 
-    By default of an ideal tracker, that is, the readings as they are. Raises NetworkError when no target was measured
-    on both faces.
+    The default is an ideal tracker, which does not correct. Raises NetworkError if no target was measured on both
+    faces.
     """
     pairs = face_pairs(recording)
     if not len(pairs):

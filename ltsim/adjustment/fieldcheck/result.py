@@ -1,4 +1,4 @@
-"""Result of a field check and its items; correction of p-values for the number of tests."""
+"""Result of a field check, its items, and correction of p-values for the number of tests."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ Kind = Literal[
     "cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"
 ]
 CAUSES = ("cause", "mistake", "bump", "drift")
-"""Kinds of items that are reported first: two-face differences and scatter follow from them."""
+"""Kinds of items that are reported first, because two-face differences and scatter follow from them."""
 
 
 class Item(Entry):
-    """A test of the field check, with its outcome."""
+    """Test of a field check, with its result."""
 
     station: str
-    """Empty for what concerns all stations."""
+    """Station; empty for an item on all stations."""
     kind: Kind
-    """Test that the item reports."""
+    """Kind of test."""
     passed: bool
-    """True where the item is no reason against going on."""
+    """True if the item is no reason to stop."""
     sentence: str
-    """Text for a person, with units."""
+    """Sentence with units."""
     p_value: OptionalFloat = None
-    """Chance of as much by noise, paid for all that was looked at."""
+    """p-value, corrected for the number of tests."""
     targets: tuple[str, ...] = ()
-    """Targets that stand out."""
+    """Targets that the item concerns."""
     rows: tuple[int, ...] = ()
-    """Rows of the recording that stand out, from 1."""
+    """Rows of the recording that the item concerns, from 1."""
     between_s: tuple[Finite, Finite] | None = None
-    """Time interval of a motion [s]: after the first and before the second of these times; empty for other tests."""
+    """Time interval of a motion [s], after the first and before the second time; null for other tests."""
 
     @classmethod
     def of(cls, at: str, kind: Kind, passed: bool, sentence: str, p: float | None = None, **marked: Any) -> Item:
-        """Item of a test with its sentence, its p-value and the targets, rows or times that it marks."""
+        """Item of a test with its sentence, p-value, and the targets, rows or times that it concerns."""
         return cls(station=at, kind=kind, passed=passed, sentence=sentence, p_value=p, **marked)
 
 
@@ -64,11 +64,11 @@ OF_TEST: dict[str, Kind] = {
     "height": "mistake",
     "noise-level": "closure",
 }
-"""Kind of the item of a cause that was identified; `cause` for the others."""
+"""Kind of item for each kind of identified cause; `cause` for others."""
 
 
 def item_of(test: Test) -> Item:
-    """The item of a cause that was identified: noise that is less than declared is no reason to stop."""
+    """Item of an identified cause; noise smaller than declared is no reason to stop."""
     passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
     kind: Kind = "level" if test.acts_on == "level" else OF_TEST.get(test.kind, "cause")
@@ -83,7 +83,7 @@ ITEMS = Table(
 )
 TWO_FACE = Table(
     "two_face.csv",
-    "half two-face differences with their limits, a row a pair",
+    "half two-face differences with their limits, one row per pair",
     (
         *texts(station="name", target="name"),
         *numbers(row_1="of the first face, from 1", row_2="of the second face"),
@@ -97,7 +97,7 @@ TWO_FACE = Table(
 
 @dataclass(frozen=True)
 class SetUp(ValueEquality):
-    """Tests of a set-up: items, two-face differences (None without pairs) and model (None where nothing repeats).
+    """Tests of a set-up: items, two-face differences (None without pairs), model (None without repeats).
 
     `rows` are the rows of the whole recording, from 1.
     """
@@ -113,7 +113,7 @@ class SetUp(ValueEquality):
 
 @dataclass(frozen=True)
 class CheckArrays(ValueEquality):
-    """Recording that was checked, and its set-ups."""
+    """Arrays of a check: recording and set-ups."""
 
     recording: Recording
     setups: tuple[SetUp, ...]
@@ -126,20 +126,20 @@ class Check(ResultFile):
     format: Literal["ltsim-check/1"] = "ltsim-check/1"
     """Format and version of this file."""
     passed: bool
-    """Go."""
+    """True for go, False for no-go."""
     sentence: str
-    """Go or no-go, and why."""
+    """Sentence with go or no-go and its reason."""
     level: Finite
-    """Chance of one false alarm in the whole recording."""
+    """False-alarm probability of the whole check."""
     tests: tuple[Test, ...] = ()
     """Simple causes that the readings support, and outliers."""
     items: tuple[Item, ...]
-    """Every test, set-up by set-up, of the readings without these causes."""
+    """Items of all tests, set-up by set-up, for the readings without these causes."""
     _arrays: CheckArrays | None = PrivateAttr(None)
 
     @classmethod
     def of(cls, arrays: CheckArrays, network: Sequence[Item], level: float, tests: Sequence[Test]) -> Self:
-        """The result of the items of the set-ups and of the network: causes and mistakes first, then set-ups."""
+        """Result from the items of set-ups and network: causes and blunders first, then set-ups."""
         causes = tuple(map(item_of, tests))
         mistakes = (item for item in network if item.kind == "mistake")
         rest = (item for item in network if item.kind != "mistake")
@@ -157,7 +157,7 @@ class Check(ResultFile):
 
     @property
     def arrays(self) -> CheckArrays:
-        """The set-ups as arrays; raises ModelError for a check that was read from a file."""
+        """Set-ups as arrays; raises ModelError for a check that was read from a file."""
         if self._arrays is None:
             raise ModelError("a check read from a file has no set-ups; call lt.check with the recording")
         return self._arrays
@@ -169,7 +169,7 @@ class Check(ResultFile):
         return {"items": lambda: ITEMS.filled(self.items), "two_face": self._two_face}
 
     def _two_face(self) -> Table:
-        """Half two-face differences with their limits, one row a pair."""
+        """Table of half two-face differences with their limits, one row per pair."""
         rows, recording = [], self.arrays.recording
         for setup in self.arrays.setups:
             if (faces := setup.faces) is None:
@@ -182,7 +182,7 @@ class Check(ResultFile):
 
 
 def _answer(items: Sequence[Item], causes: Sequence[Item], setups: int) -> str:
-    """Go or no-go and its reason: first the cause from which others follow, then targets that scatter by themselves."""
+    """Sentence with go or no-go and its reason: first causes from which others follow, then noisy targets."""
     failed = [item for item in items if not item.passed]
     count = sum(not item.passed for item in causes)
     rest = sorted(failed[count:], key=lambda i: not (i.kind in CAUSES or (i.kind == "closure" and i.targets)))
@@ -190,27 +190,27 @@ def _answer(items: Sequence[Item], causes: Sequence[Item], setups: int) -> str:
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         return f"no-go: {failed[0].sentence}{more}"
-    return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and guarantee"
+    return f"go: {setups} set-up{'s' if setups > 1 else ''} within noise and specification"
 
 
 @dataclass(frozen=True)
 class Family:
-    """The tests of a recording: `adjusted` chances count all of them and every place that one looked at."""
+    """Family of tests of a recording: `adjusted` p-values count all tests and all places within a test."""
 
     level: float
     tests: int
 
     @property
     def alpha_per_test(self) -> float:
-        """Part of the level that one test has."""
+        """Part of the significance level for one test."""
         return self.level / self.tests
 
     def adjusted(self, p: float, looks: int = 1) -> float:
-        """Chance of one such result or more among all that was looked at (Bonferroni)."""
+        """p-value corrected for the number of tests and of places within a test (Bonferroni)."""
         return min(1.0, p * looks * self.tests)
 
 
 def two_sided(chi2: float, dof: int) -> tuple[float, bool]:
-    """Chance of a chi-square so far out on either side, and whether it is too small."""
+    """Two-sided p-value of a chi-square, and a flag that it is too small."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

@@ -1,4 +1,4 @@
-"""The sentences of a check, with a unit on every number."""
+"""Sentences of a check, with a unit on every number."""
 
 from collections.abc import Sequence
 from datetime import datetime, time as clock, timedelta
@@ -12,16 +12,16 @@ from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 ZEROS = (("range", "um", MICROMETRE, 100 * MICROMETRE), ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND))
-"""Zeros of an instrument, and the standard deviation from which a recording says nothing of them."""
+"""Zeros of an instrument, with the standard deviation above which a recording does not determine them."""
 SHIFT, TILT, TURN = slice(0, 3), slice(3, 5), slice(5, 6)
 VAGUE = 100 * MICRORADIAN
-"""Standard deviation of a level from which a recording says nothing of it."""
+"""Standard deviation of a level [rad] above which a recording does not determine it."""
 MIN_REPORTED_SIGMAS = 2.0
-"""Standard deviations from which a part of a motion is told."""
+"""Smallest size of a component of a motion, in standard deviations, that is reported."""
 
 
 def moment(recording: Recording, time: float) -> str:
-    """A time [s] of a recording as a person reads it: the clock where its start is known, seconds or rows otherwise."""
+    """Time [s] of a recording as text: the clock time if its start is known, otherwise seconds or rows."""
     if not recording.has_clock:
         return f"pointing {time + 1:.0f}"
     started = recording.setup.started
@@ -37,7 +37,7 @@ def moment(recording: Recording, time: float) -> str:
 
 
 def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, tuple[str, ...], Ints]:
-    """The two-face differences in words, the targets beyond the limit, and the rows of the worst pair there."""
+    """Sentence on the two-face differences, targets beyond the limit, and rows of the worst pair there."""
     name, pairs = recording.stations[0], faces.still
     if not faces.over.any():
         sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
@@ -64,7 +64,7 @@ def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -
     """Sentence on the outliers among the pointings of a set-up."""
     recording, name = visit.recording, visit.recording.stations[0]
     if not gross:
-        return f"{name}: no pointing stands out"
+        return f"{name}: no outlier"
     first = recording.targets[recording.target[gross[0]]]
     again = np.flatnonzero(recording.target == recording.target[gross[0]])
     others = listing([str(rows[i]) for i in gross[1:]])
@@ -94,7 +94,7 @@ def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) ->
         return f"{name} drifts {within}{_motion(explained)}"
     lean, sigma = explained.size(TILT)
     if not sigma < VAGUE:
-        return f"{name}: no drift of the station shows {within}; what was measured again tells little of its level"
+        return f"{name}: no drift of the station detected {within}; the repeated pointings hardly determine its level"
     level = with_sigma(lean / MICRORADIAN, sigma / MICRORADIAN, "urad")
     return f"{name}: no drift of the station {within} (level {level})"
 
@@ -108,22 +108,22 @@ def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: boo
         for value, sigma, (what, name, unit, most) in zip(explained.values, spread, ZEROS, strict=True)
         if sigma * duration < most
     ]
-    end = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
+    end = f" ({', '.join(parts)} over the occupation)" if parts else "; the repeated pointings hardly determine it"
     return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{end}"
 
 
 def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[str, ...]]:
-    """Sentence on the scatter of targets `shown` (k,), in descending order, and names of the upper half of them."""
+    """Sentence on the scatter of targets `shown` (k,) in descending order, and names of the upper half of them."""
     recording = visit.recording
     names = [recording.targets[t] for t in shown]
     sizes = [length(visit.spread(int(t))) for t in shown]
     low, high = (f"{sizes[i]} at {names[i]}" for i in (-1, 0))
-    sentence = f"it belongs to the targets ({low} to {high} along each axis), not to range or air"
+    sentence = f"the targets cause it ({low} to {high} along each axis), not range or air"
     return sentence, tuple(names[: (len(names) + 1) // 2])
 
 
 def _motion(fit: ColumnsFit) -> str:
-    """A motion of a station in words: what the targets that were measured again tell of it."""
+    """Text of a motion of a station, from the targets that were measured again."""
     kinds = (
         ("shifted", SHIFT, "um", MICROMETRE),
         ("turned", TURN, "urad", MICRORADIAN),
@@ -139,11 +139,11 @@ def _motion(fit: ColumnsFit) -> str:
 
 
 def length(metres: float) -> str:
-    """A length in the unit that a person would use."""
+    """Length as text in a suitable unit."""
     unit, factor = ("mm", MILLIMETRE) if metres > MILLIMETRE else ("um", MICROMETRE)
     return f"{plain(metres / factor)} {unit}"
 
 
 def plain(value: float, digits: int = 3) -> str:
-    """A number rounded to so many digits, large ones written out: 2710 and not 2.71e+03."""
+    """Number with `digits` significant digits, large ones without exponent: 2710 and not 2.71e+03."""
     return f"{float(f'{value:.{digits}g}'):.6g}"

@@ -1,9 +1,9 @@
-"""Detection, identification and adaptation: the simple causes that a network supports, by one log evidence for all.
+"""Detection, identification and adaptation: simple causes that the readings support, compared by one log evidence.
 
 A simple cause is one of a short list at one place: an outlier, an offset of all distances to a target, a station that
 moved, a wrong reference value. Each is a hypothesis with a prior and a change of the model; the network is fitted with
-it, and its log evidence compared with that of the others. A cause of a million standard deviations is found as surely
-as one of twenty, because every fit begins at a robust state and is relinearised.
+it, and its log evidence is compared with that of the others. A cause of a million standard deviations is identified as
+reliably as one of twenty, because every fit starts at a robust state and is relinearised.
 
 References
 ----------

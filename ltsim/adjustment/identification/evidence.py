@@ -19,7 +19,7 @@ from scipy import special
 from ltsim.core.arrays import Floats
 
 DECADES = 6.0
-"""Decades of size, from what shows to what is absurd: 10 um and 10 m."""
+"""Decades between the smallest and the largest size of a shift in its prior: 10 um and 10 m."""
 LOG_RANGE = float(np.log(DECADES * np.log(10.0)))
 
 
@@ -31,11 +31,11 @@ def occam(w: Floats | float, rank: int) -> Floats:
 
 
 FACTOR_DECADES = 2.0
-"""Decades of the size of the noise over, or under, what is declared."""
+"""Decades of the prior of the ratio of the noise to the declared noise, in both directions."""
 
 
 def occam_of_variance(redundancy: Floats | float) -> Floats:
-    """Log of the Occam factor of a variance factor that so much redundancy determines."""
+    """Log of the Occam factor of a variance factor that is determined with the given redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
     return np.minimum(np.log(width / (2.0 * FACTOR_DECADES * np.log(10.0))), 0.0)
 
@@ -43,7 +43,7 @@ def occam_of_variance(redundancy: Floats | float) -> Floats:
 def variance_factor(squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
     """Restricted maximum likelihood of a common factor on standard deviations, and its log likelihood ratio.
 
-    By weighted sums of squares and redundancies, of groups of readings (g,).
+    The arguments are weighted sums of squares and redundancies of groups of readings (g,).
     """
     enough = np.asarray(redundancy) > 1.0
     ratio = np.where(enough, squares / np.where(enough, redundancy, 1.0), 1.0)
@@ -71,5 +71,5 @@ SHARE = {
 
 
 def log_prior_of(kind: str, places: int) -> float:
-    """Log prior of a cause of the given kind at one place among the given number of places."""
+    """Log prior of a cause of the given kind at one of the given number of places."""
     return float(np.log(SHARE[kind] / max(places, 1)))

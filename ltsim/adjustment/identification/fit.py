@@ -1,4 +1,4 @@
-"""A network with some hypotheses in its model, fitted robustly, and the log evidence of that."""
+"""Robust fit of a network with some hypotheses in its model, and its log evidence."""
 
 from __future__ import annotations
 
@@ -47,20 +47,22 @@ from ltsim.solve.design import median_deviation
 from ltsim.solve.gauss_newton import Solution, solve
 
 DETERMINED = 4.0
-"""Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000."""
+"""Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000 cases."""
 REWEIGHTED, SAME_NOISE = 3, 0.05
-"""Estimates of noise factors at most, and the relative change that ends them: less moves no log evidence by 0.1."""
+"""Largest number of estimates of noise factors, and relative change that ends them (0.1 in log evidence)."""
 OTHER_OUTLIERS = 0.2
-"""Relative change of the noise by which other readings become outliers."""
+"""Relative change of the noise from which the set of outliers is determined again."""
 ROUNDS = 6
-"""Solutions in which outliers are left out and taken back: what still alternates is left out, and tells no cause."""
+"""Largest number of solutions in which outliers are rejected and accepted again; readings that still alternate are
+rejected and indicate no cause.
+"""
 FREE = 1e6
-"""Plausible sizes to which a shift is held: nothing that happens is larger."""
+"""Standard deviation, in plausible sizes, of the weak prior of a shift; larger shifts do not occur."""
 
 
 @dataclass(frozen=True)
 class Network:
-    """Input of a fit: recording, construction, priors of its parameters, readings (n, 3) that may be used."""
+    """Input of a fit: recording, construction, priors of its parameters, and usable readings (n, 3)."""
 
     recording: Recording
     construction: Construction
@@ -70,14 +72,14 @@ class Network:
 
 @dataclass(frozen=True)
 class Fit:
-    """A network fitted with some hypotheses in its model; readings that contradict it are left out as outliers.
+    """Network fitted with some hypotheses in its model; readings that contradict it are rejected as outliers.
 
     Attributes
     ----------
     network : Network
     hypotheses : tuple of Hypothesis
     whole : NetworkProblem
-        With all usable readings in use.
+        Least-squares problem with all usable readings.
     problem : NetworkProblem
         With the readings in use that fit.
     solution : Solution
@@ -91,9 +93,9 @@ class Fit:
 
     @classmethod
     def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> tuple[list[ReferenceRows], int]:
-        """Reference values that a robust state misses by far, and the number of all.
+        """Reference values with large residuals at a robust state, and the number of all reference values.
 
-        A network that believes them bends as a whole.
+        A network that uses them is distorted as a whole.
         """
         problem, start = cls._problem(network, hypotheses)
         relaxed = relaxed_references(problem, start)
@@ -110,9 +112,10 @@ class Fit:
         start: State | None = None,
         near: Sightings | None = None,
     ) -> Fit | None:
-        """The fit from a start, by default from the recording alone; None where the network is not determined.
+        """Fit from a start, by default from the recording alone; None for an undetermined network.
 
-        From the recording less what the hypotheses' guesses say of it, where the sightings `near` are given.
+        If the sightings `near` are given, the start is computed from the recording without the guessed shifts of the
+        hypotheses.
         """
         fresh = start is None
         problem, start = cls._problem(network, hypotheses, start, near)
@@ -126,12 +129,12 @@ class Fit:
 
     @property
     def _is_determined(self) -> bool:
-        """True if the readings determine each shift; one that is equivalent to other coordinates has no size."""
+        """True if the readings determine each shift; one that is equivalent to a change of coordinates has no size."""
         return all(self.length(h) > DETERMINED for h, _, _ in self.shifts)
 
     @property
     def shifts(self) -> Iterator[tuple[Hypothesis, Shift, slice]]:
-        """Hypotheses that are shifts, and where their parameters stand among those of the state."""
+        """Hypotheses that are shifts, with the slices of their parameters in the state."""
         first = 0
         for h in self.hypotheses:
             if isinstance(h.change, Shift):
@@ -154,7 +157,7 @@ class Fit:
         start: State | None = None,
         near: Sightings | None = None,
     ) -> tuple[NetworkProblem, State]:
-        """The problem with all usable readings in use, and a start, as of `of`."""
+        """Problem with all usable readings, and a start, as in `of`."""
         recording = changed_recording(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start is None:
@@ -182,7 +185,7 @@ class Fit:
         return problem, replace(start, position=problem.marks.on_marks(start.position, start.points))
 
     def _reweighted(self) -> Fit:
-        """The fit with its noise factors as the residuals have them (restricted maximum likelihood)."""
+        """Fit with noise factors estimated from its residuals (restricted maximum likelihood)."""
         fit = self
         for _ in range(REWEIGHTED):
             sigma = fit._sigma()
@@ -197,7 +200,7 @@ class Fit:
         return fit
 
     def _sigma(self) -> Floats:
-        """Standard deviations (n, 3) with the noise factors that the residuals show."""
+        """Standard deviations (n, 3) with the noise factors that the residuals imply."""
         sigma = self.network.recording.sigma()
         for h in self.hypotheses:
             if isinstance(h.change, NoiseFactor):
@@ -208,7 +211,7 @@ class Fit:
         return sigma
 
     def without_distances(self, rows: Ints) -> Fit | None:
-        """The fit, from the beginning, without the distances of some rows; None where that is no network."""
+        """Fit from the beginning without the distances of some rows; None if they are needed for a network."""
         readings = self.network.recording.readings.copy()
         readings[rows, 0] = np.nan
         network = replace(self.network, recording=self.network.recording.with_readings(readings))
@@ -218,19 +221,19 @@ class Fit:
             return None
 
     def residuals_of(self, recording: Recording) -> Floats:
-        """Readings (n, 3) of a recording with the same pointings less the predicted ones [m, rad, rad]."""
+        """Readings (n, 3) of a recording with the same pointings minus the predicted ones [m, rad, rad]."""
         gap = recording.readings - self.problem.model.predict(self.state)
         gap[:, 1:] = wrap(gap[:, 1:])
         return gap
 
     @property
     def state(self) -> State:
-        """Poses, targets and parameters."""
+        """Adjusted poses, targets and parameters."""
         return self.solution.x
 
     @cached_property
     def adjustment(self) -> Adjustment:
-        """The fit as an adjustment."""
+        """Adjustment with the state and readings of the fit."""
         out = self.recording.measured.any(axis=1) & ~self.problem.use.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
@@ -249,9 +252,10 @@ class Fit:
         return tuple(signatures)
 
     def corrected(self, recording: Recording, outliers: bool = False) -> Recording:
-        """A recording without what is in the model: rows corrected, shifts subtracted; `outliers` stay or are left out.
+        """Recording corrected for the hypotheses in the model; `outliers` decides whether outliers remain.
 
-        Noise that differs from the declared is declared so; reference values that are not believed are left out.
+        Rows are corrected, shifts are subtracted, estimated noise factors are applied to the declared noise, and
+        rejected reference values are removed.
         """
         readings = self.recording.readings.copy()
         for _, shift, at in self.shifts:
@@ -269,12 +273,12 @@ class Fit:
 
     @cached_property
     def residuals(self) -> Floats:
-        """Observed minus predicted readings (n, 3) [m, rad, rad], outliers among them."""
+        """Observed minus predicted readings (n, 3) [m, rad, rad], including outliers."""
         return self.problem.residuals(self.problem.model.predict(self.state))
 
     @cached_property
     def whitened(self) -> Floats:
-        """The same over the standard deviations; 0 where nothing can be used."""
+        """Residuals divided by the standard deviations, (n, 3); 0 for unusable readings."""
         return np.where(self.whole.use, np.nan_to_num(self.residuals / self.problem.sigma), 0.0)
 
     @property
@@ -284,19 +288,22 @@ class Fit:
 
     @cached_property
     def outliers(self) -> Bools:
-        """Usable readings that are left out, (n, 3)."""
+        """Flags (n, 3) of the usable readings that are rejected."""
         return self.whole.use & ~self.problem.use
 
     @cached_property
     def prediction_spread(self) -> Floats:
-        """Standard deviations (n, 3), over the declared, of the misses of the outliers by their predictions; else 1."""
+        """Standard deviations (n, 3) of the deviations of outliers from their predictions, over the declared ones.
+
+        They are 1 for other readings.
+        """
         spread = np.ones(self.outliers.shape)
         if self.outliers.any():
             spread[self.outliers] = prediction_spread(self.whole, self.solution, self.outliers)
         return spread
 
     def _missed_by(self, value: ReferenceValue) -> float:
-        """Miss of an omitted reference value, in its declared standard deviations."""
+        """Misclosure of an omitted reference value, in its declared standard deviations."""
         return float(np.linalg.norm(self.gap_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
 
     def gap_of(self, value: ReferenceValue) -> Floats:
@@ -311,7 +318,7 @@ class Fit:
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
 
     def displacement(self, hypothesis: Hypothesis) -> float:
-        """Largest displacement [m] of a reading, or miss of a reference value, by a hypothesis of the model."""
+        """Largest displacement [m] of a reading, or misclosure of a reference value, by a hypothesis in the model."""
         change, sightings = hypothesis.change, self.adjustment.sightings
         if isinstance(change, Omission):
             return float(np.abs(self.gap_of(change.value)).max())
@@ -322,7 +329,7 @@ class Fit:
 
     @property
     def is_gross(self) -> Bools:
-        """Readings that miss by more than any error of a tracker, (n, 3)."""
+        """Flags (n, 3) of the readings with deviations beyond any error of a tracker."""
         return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
 
     @cached_property
@@ -351,7 +358,7 @@ class Fit:
 
 
 def _arms(sightings: Sightings) -> Floats:
-    """Lengths (n, 3) [m or m/rad] that turn errors of the readings into displacements."""
+    """Lengths (n, 3) [m or m/rad] that convert errors of the readings to displacements."""
     range_ = sightings.range_
     return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)
 
@@ -367,7 +374,7 @@ def _guesses(hypotheses: Sequence[Hypothesis], size: int, near: Sightings | None
 
 
 def _unshifted(recording: Recording, hypotheses: Sequence[Hypothesis], near: Sightings) -> Recording:
-    """The recording less the shifts of the hypotheses, as large as they are guessed."""
+    """Recording without the shifts of the hypotheses, at their guessed sizes."""
     readings = recording.readings.copy()
     for h in hypotheses:
         if isinstance(h.change, Shift) and h.change.guess:
@@ -376,7 +383,7 @@ def _unshifted(recording: Recording, hypotheses: Sequence[Hypothesis], near: Sig
 
 
 def changed_recording(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
-    """The recording with corrected rows and without the reference values that are not believed."""
+    """Recording with corrected rows, and without rejected reference values."""
     readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
     for h in hypotheses:
         if isinstance(h.change, Correction):

@@ -1,4 +1,4 @@
-"""Hypotheses: what each acts on, where, how likely it is beforehand, and what it changes in the model of a network."""
+"""Hypotheses: observable, place, prior probability, and change of the network's model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Shift:
-    """A change of readings that is estimated: a signature with free parameters, and where their search begins."""
+    """Shift of readings: a signature with estimated parameters, and the start values of their estimation."""
 
     effect: Signature
     guess: tuple[float, ...] = ()
@@ -37,14 +37,14 @@ class Shift:
 
 @dataclass(frozen=True)
 class Omission:
-    """A reference value that is not believed."""
+    """Rejection of a reference value."""
 
     value: ReferenceValue
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Rows that were written down wrongly: their readings (k, 3), targets and faces (k,) as they should be."""
+    """Correction of wrongly recorded rows: correct readings (k, 3), targets and faces (k,)."""
 
     rows: Ints
     readings: Floats
@@ -54,9 +54,9 @@ class Correction:
 
 @dataclass(frozen=True)
 class NoiseFactor:
-    """Standard deviations of some readings (n, 3) that differ from the declared ones by a common factor.
+    """Common factor on the declared standard deviations of some readings (n, 3).
 
-    The factor is estimated from a guess on: by the declared noise, readings that only scatter more are outliers.
+    The estimation starts from a guess, because with the declared noise many readings would be outliers.
     """
 
     readings: Bools
@@ -65,7 +65,7 @@ class NoiseFactor:
 
 @dataclass(frozen=True)
 class Exchange:
-    """Two targets whose reference coordinates were exchanged."""
+    """Exchange of the reference coordinates of two targets."""
 
     names: tuple[str, str]
 
@@ -105,7 +105,7 @@ class Hypothesis:
 
     @property
     def place(self) -> tuple[object, ...]:
-        """Key by which hypotheses are distinct; they are equivalent if they differ only in moments and guesses."""
+        """Key of the place; hypotheses with equal keys are equivalent and differ only in time and guess."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes(self, other: Hypothesis) -> bool:

@@ -1,7 +1,7 @@
-"""The library of simple causes: what may be wrong at a station, a target, a reference value, in the noise.
+"""Library of simple causes: possible errors at a station, a target, a reference value, and in the noise.
 
-A family is one kind of shift at every station or target, from the beginning or from any moment on. Its signatures are
-made from one array, so that a network of thousands of places is screened at once.
+A family is one kind of shift at every station or target, from the beginning or from a time on. Its signatures are
+computed from one array, so that a network of thousands of places is screened at once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ltsim.adjustment.station_motions import EvenMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import largest_miss
+from ltsim.geometry.alignment import largest_residual
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_offset import SmrOffset
@@ -42,21 +42,27 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
 LEAST_REPEATED = 4
-"""Pointings to a target from which it may have noise of its own: of two or three one that is wrong says as much."""
+"""Smallest number of pointings to a target at which it may have separate noise; with two or three an outlier explains
+as much.
+"""
 MIN_POINTINGS = 3
-"""Pointings before and after the moment at which a station moves: with fewer a single reading explains as much."""
+"""Smallest number of pointings before and after the time at which a station moves; with fewer a single reading explains
+as much.
+"""
 MOST_MOMENTS = 60
-"""Moments of one station or target at which a change is tried; spread evenly over its pointings."""
+"""Largest number of times at which a change is tried at one station or target, spread evenly over its pointings."""
 LEAST_POINTS = 4
-"""Reference points of which two can be told to be exchanged: three fit each other's mirror image as well."""
+"""Smallest number of reference points of which two can be identified as exchanged; three also fit
+their mirror image.
+"""
 HEALED = 0.02
-"""Ratio of the largest misses of reference points, with two exchanged and otherwise, that no other cause produces."""
+"""Ratio of the largest misclosures of reference points with and without an exchange that no other cause produces."""
 Place = Literal["station", "target"]
 
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of shift at every station or target.
+    """Family of hypotheses: one kind of shift at every station or target.
 
     Attributes
     ----------
@@ -77,7 +83,7 @@ class Family:
     onset: int = 0
 
     def moments(self, sightings: Sightings, rows: Ints) -> list[float]:
-        """Times [s] at which a change is tried at the place with these rows, in the order of the work."""
+        """Times [s] at which a change is tried at the place with these rows, in the order of measurement."""
         if not self.onset:
             return [-np.inf]
         times = sightings.time[rows]
@@ -92,7 +98,7 @@ class Family:
         return middle[chosen].tolist()
 
     def effect(self, name: str, since: float) -> Signature:
-        """The signature at a station or target, from a time [s] on."""
+        """Signature at a station or target, from a time [s] on."""
         names = (name,)
         stations, targets = (names, ()) if self.place == "station" else ((), names)
         if self.kind == "station-bump":
@@ -107,7 +113,7 @@ class Family:
 
 
 def families(sightings: Sightings) -> Iterator[Family]:
-    """The families that a recording offers."""
+    """Families that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -128,7 +134,7 @@ def families(sightings: Sightings) -> Iterator[Family]:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A shift of a family at a place, from a time on."""
+    """Candidate shift of a family at a place, from a time on."""
 
     family: Family
     name: str
@@ -136,12 +142,12 @@ class Candidate:
     rows: Ints
     """Pointings on which it acts."""
     before: Ints
-    """Pointings of the place before it."""
+    """Earlier pointings of the place."""
     places: int
-    """Number of places at which this kind of hypothesis may act, which share its prior probability."""
+    """Number of places of this kind of hypothesis, among which its prior probability is divided."""
 
     def hypothesis(self, guess: Floats) -> Hypothesis:
-        """The hypothesis, whose estimate begins at a guess (p,)."""
+        """Hypothesis of the candidate, whose estimation starts at a guess (p,)."""
         effect = self.family.effect(self.name, self.since)
         kind, acts_on = self.family.kind, self.family.acts_on
         change = Shift(effect, tuple(guess.tolist()))
@@ -154,7 +160,7 @@ class Candidate:
 
 
 def candidates(sightings: Sightings) -> list[Candidate]:
-    """Every shift of every family."""
+    """Candidate shifts of all families."""
     shifts: list[tuple[Family, str, float, Ints, Ints]] = []
     for family in families(sightings):
         station = family.place == "station"
@@ -174,12 +180,12 @@ def candidates(sightings: Sightings) -> list[Candidate]:
 
 
 def omissions(fit: Fit) -> list[Hypothesis]:
-    """Reference values that may be wrong."""
+    """Hypotheses that a reference value is wrong, one for each of a fit."""
     return omissions_of(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
 def omissions_of(recording: Recording, values: Sequence[ReferenceRows]) -> list[Hypothesis]:
-    """Hypotheses that each of some reference values is wrong."""
+    """Hypotheses that a reference value is wrong, one for each of the given ones."""
     hypotheses = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
@@ -201,7 +207,7 @@ MISTAKES: dict[str, Kind] = {
 
 
 def corrections(fit: Fit) -> list[Hypothesis]:
-    """Rows that were written down wrongly, by where outliers would land."""
+    """Hypotheses of wrongly recorded rows, by the positions of outliers after correction."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     missed = np.asarray((fit.outliers & fit.is_gross).any(axis=1)) | fit.adjustment.gross
     for mistake, readings, target in detect_blunders(replace(fit.adjustment, gross=missed)):
@@ -216,7 +222,7 @@ def corrections(fit: Fit) -> list[Hypothesis]:
 
 
 def conventions(recording: Recording) -> list[Hypothesis]:
-    """Set-ups that were recorded in another unit, sense or face: by the shape of what they saw, without a network."""
+    """Hypotheses of set-ups in another unit, sense or face, from the shape of their points without a network."""
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
     hypotheses = []
@@ -229,7 +235,10 @@ def conventions(recording: Recording) -> list[Hypothesis]:
 
 
 def exchanges(recording: Recording) -> list[Hypothesis]:
-    """Two reference points with each other's coordinates: by the shape of the network without reference points."""
+    """Hypotheses of exchanged coordinates of two reference points.
+
+    They follow from the shape of the network without reference points.
+    """
     declared = {name: recording.target_setup(name) for name in recording.targets}
     names = [name for name, target in declared.items() if target.known_mm is not None and target.known_axes == "xyz"]
     if len(names) < LEAST_POINTS:
@@ -238,9 +247,9 @@ def exchanges(recording: Recording) -> list[Hypothesis]:
         (_, _, points), _ = initial_network(without_coordinates(recording))
         here = points[[recording.targets.index(name) for name in names]]
         there = np.array([declared[name].known_mm for name in names]) * MILLIMETRE
-        miss = largest_miss(here, there)
+        miss = largest_residual(here, there)
         pairs = list(combinations(range(len(names)), 2))
-        swapped = [largest_miss(here, there[_swapped(len(names), *pair)]) for pair in pairs]
+        swapped = [largest_residual(here, there[_swapped(len(names), *pair)]) for pair in pairs]
     except NetworkError:
         return []
     best = int(np.argmin(swapped))
@@ -260,7 +269,7 @@ def _swapped(count: int, first: int, second: int) -> list[int]:
 
 
 def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:
-    """Noise other than declared, of all readings, an observable, a target, a station; and the readings (n, 3)."""
+    """Hypotheses of other noise of all readings, an observable, a target or a station; affected readings (n, 3)."""
     recording = fit.recording
     every = np.ones((len(recording), 3), dtype=bool)
     several = len(recording.stations) > 1

@@ -1,4 +1,4 @@
-"""Shifts fitted robustly to the residuals of the readings on which they act, the network taken as it is, in batches."""
+"""Robust fits of shifts to the residuals of their own readings, with the network unchanged, in batches."""
 
 from __future__ import annotations
 
@@ -10,28 +10,30 @@ import numpy as np
 from ltsim.core.arrays import AT_ONCE, Bools, Floats
 
 STEPS = 6
-"""Reweightings of a shift."""
+"""Number of reweightings in the fit of a shift."""
 TRIMMED = 2
-"""Fits, at most, to the readings that a shift makes no outliers."""
+"""Largest number of fits to the readings that are no outliers with the shift."""
 DEPENDENT = 1e-13
-"""Eigenvalue, relative to the largest, of the normal matrix of unit columns up to which they are linearly dependent."""
+"""Eigenvalue, relative to the largest, of the normal matrix of unit columns up to which they count as linearly
+dependent.
+"""
 
 
 @dataclass(frozen=True)
 class LocalShift:
-    """Design of a shift on the readings on which it acts: unit columns (m, r), their lengths (r,), residuals (m,)."""
+    """Design of a shift on its readings: unit columns (m, r), their lengths (r,), residuals (m,)."""
 
     unit: Floats
     size: Floats
     residual: Floats
     out: Bools
-    """Outliers among the readings, (m,)."""
+    """Flags of the outliers among the readings, (m,)."""
     columns: Bools
-    """Parameters (q,) of the shift that act on these readings: r of them do."""
+    """Flags (q,) of the r parameters of the shift that act on these readings."""
 
     @classmethod
     def of(cls, design: Floats, residual: Floats, out: Bools) -> LocalShift:
-        """The shift of a whitened design (n, 3, q) on whitened residuals (n, 3) and outliers (n, 3)."""
+        """Design of a shift from its whitened design (n, 3, q), whitened residuals (n, 3) and outlier flags (n, 3)."""
         whole = design.reshape(-1, design.shape[2])
         acts = whole.any(axis=1)
         size = np.linalg.norm(whole[acts], axis=0)
@@ -46,7 +48,10 @@ class LocalShift:
 
 
 def fitted_shifts(shifts: Sequence[LocalShift], price: float) -> list[tuple[float, Floats]]:
-    """Fall of the negative log likelihood in which no reading costs more than `price`, and parameters (q,), of each."""
+    """Decrease of the robust negative log likelihood, and parameters (q,), of each shift.
+
+    Each reading contributes at most `price`.
+    """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):
         count, rank = len(shifts[batch[-1]].residual), len(shifts[batch[0]].size)
@@ -65,7 +70,7 @@ def fitted_shifts(shifts: Sequence[LocalShift], price: float) -> list[tuple[floa
 
 
 def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
-    """Places of shifts with the same number of columns, in the order of their lengths, `AT_ONCE` numbers at most."""
+    """Indices of shifts with equal numbers of columns, ordered by length, with at most `AT_ONCE` entries."""
     batch: list[int] = []
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit.shape[::-1]):
         if batch and (
@@ -79,10 +84,10 @@ def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
 
 
 def _robust_amounts(unit: Floats, residual: Floats, out: Bools, valid: Bools, price: float) -> Floats:
-    """Amounts (h, r) of unit columns (h, m, r) in residuals (h, m), begun at the outliers (h, m) of `valid` rows.
+    """Robust parameters (h, r) of unit columns (h, m, r) for residuals (h, m).
 
-    One column begins at the median of the ratios, which half of them do not move; several by least squares, reweighted
-    to least absolute deviations.
+    They start at the outliers (h, m) of `valid` rows. For one column the start is the median of the ratios, for several
+    a least-squares solution reweighted to least absolute deviations.
     """
     if unit.shape[2] == 1:
         column = unit[:, :, 0]
@@ -101,19 +106,19 @@ def _robust_amounts(unit: Floats, residual: Floats, out: Bools, valid: Bools, pr
 
 
 def _times(unit: Floats, amount: Floats) -> Floats:
-    """Changes (h, m) of the readings by amounts (h, r) of columns (h, m, r)."""
+    """Changes (h, m) of the readings by parameters (h, r) of columns (h, m, r)."""
     return np.asarray((unit @ amount[:, :, None])[:, :, 0])
 
 
 def _medians(values: Floats, chosen: Bools) -> Floats:
-    """Medians (h,) of the chosen values (h, m), one at least of each row."""
+    """Medians (h,) of the selected values (h, m), at least one in each row."""
     ordered, count = np.sort(np.where(chosen, values, np.inf), axis=1), chosen.sum(axis=1)
     rows = np.arange(len(values))
     return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
 
 
 def _least_squares(unit: Floats, residual: Floats, weight: Floats) -> Floats:
-    """Least-squares amounts (h, r) with weights (h, m) of the equations, the shortest where columns are dependent."""
+    """Least-squares parameters (h, r) with weights (h, m); the minimum-norm solution for dependent columns."""
     weighted = unit * weight[:, :, None]
     normal = np.swapaxes(weighted, 1, 2) @ weighted
     right = np.swapaxes(weighted, 1, 2) @ (residual * weight)[:, :, None]

@@ -1,7 +1,7 @@
-"""Resection: set-ups of which most readings contradict the network, placed anew without one of their observables.
+"""Resection of set-ups whose readings mostly contradict the network, without one of their observables.
 
-Ranges that are wrong by the same amount, or in the same ratio, displace a set-up, and all its angles then look as wrong
-as its ranges; elevations with a wrong index tilt it, and all its readings look wrong.
+Ranges with a common offset or scale error displace a set-up, so that its angles have large residuals too; elevations
+with a wrong index tilt it, so that all its readings have large residuals.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from ltsim.solve.design import median_deviation
 
 
 def resected(problem: NetworkProblem, state: State) -> State:
-    """State in which set-ups with mostly far residuals stand where two of their observables say, if these are near."""
+    """State in which set-ups with mostly far residuals are resected from two of their observables.
+
+    The results must be near.
+    """
     recording, far = problem.model.recording, _far(problem, state)
     if not far.any() or far[problem.use].mean() > MAJORITY:
         return state
@@ -45,7 +48,7 @@ def resected(problem: NetworkProblem, state: State) -> State:
 
 
 def _far(problem: NetworkProblem, state: State) -> Bools:
-    """Readings (n, 3) in use with far residuals."""
+    """Flags (n, 3) of the used readings with far residuals."""
     whitened = whitened_readings(problem, state)
     scale = max(median_deviation(whitened[problem.use]), 1.0)
     return np.asarray(problem.use & (whitened > FAR * scale))

@@ -1,8 +1,8 @@
-"""Quick looks at every hypothesis beside a fit: how much log evidence each seems to gain.
+"""Screening of all hypotheses by an approximate gain of log evidence, given a fit.
 
-Two looks, of which the better counts. By the residual space of a fit a small cause is seen exactly, smeared or not. By
-the residuals of single pointings, the network taken as it is, a cause that is so large that its readings were left out
-as outliers is seen, whatever its size. Both only rank: what is reported comes from a fit with the hypothesis in it.
+Two methods are used, and the larger gain counts. The residual space of a fit is exact for a small cause. The residuals
+of single pointings, with the network unchanged, reveal a cause of any size whose readings were rejected as outliers.
+Both only rank hypotheses: results come from a fit with the hypothesis in the model.
 """
 
 from __future__ import annotations
@@ -29,15 +29,19 @@ from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
 
 EXACT = 3_000_000
-"""Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
+"""Number of entries of all signatures up to which all are projected exactly; of more only the best ones by their own
+rows.
+"""
 MANY, HALF, PLACES = 6, 0.4, 5
-"""Outliers, and the share of gross ones among a place's pointings, from which its distances are put aside; places."""
+"""Number of outliers, and fraction of gross ones among a place's pointings, from which its distances are removed for a
+trial; number of such places.
+"""
 SEVERAL = 2
-"""Reference lengths from which they share a scale."""
+"""Smallest number of reference lengths that share a scale."""
 
 
 def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
-    """Hypotheses with the log evidence that each seems to gain, the most first."""
+    """Hypotheses with their approximate gain of log evidence, the largest first."""
     every = candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
     plain = _plain(fit)
@@ -69,7 +73,7 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
 
 
 def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
-    """The least-squares fit of all readings, and how much log evidence it is behind; None where it is the same."""
+    """Least-squares fit of all readings, and its deficit of log evidence; None if it equals the robust fit."""
     if not fit.outliers.any():
         return None
     solution = solve(fit.whole, fit.state)
@@ -80,7 +84,7 @@ def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
 
 
 def _best_per_place(ranked: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
-    """The best moment of each kind at each place."""
+    """Best time of each kind of hypothesis at each place."""
     places, best = set[tuple[str, str, str]](), []
     for gain, i in ranked:
         candidate = every[i]
@@ -132,7 +136,7 @@ def _signature(space: ResidualSpace, candidate: Candidate) -> Floats:
 
 
 def _rough(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
-    """Log evidence (h,) of candidates by their own rows alone, each error shown by its redundancy."""
+    """Log evidence (h,) of candidates by their own rows alone, with the redundancy of each."""
     use, count = space.use, int(space.use.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
     residual[use], share[use] = space.residual[:count], np.maximum(space.redundancy[:count], 1e-3)
@@ -151,10 +155,10 @@ def _rough(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
 
 
 def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
-    """Log evidence (h,) that shifts save by readings that they make no outliers of; the network taken as it is.
+    """Log evidence (h,) gained by shifts whose readings are no longer outliers, with the network unchanged.
 
-    And a guess of each shift. Where a change begins in mid-work, the network may have followed what came after it:
-    then its negative shows before.
+    Also returned is a guess of each shift. If a change begins during the measurement, the network may have followed the
+    later readings; its negative is then visible before.
     """
     gains = np.full(len(every), -np.inf)
     guesses = [np.zeros(c.family.design.shape[2]) for c in every]
@@ -181,9 +185,9 @@ def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
 
 
 def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, float, Floats]]:
-    """Moved targets by where the stations place them before and after: index, log evidence, and motion (3,) [m].
+    """Moved targets from their positions before and after a time: index, log evidence, and displacement (3,) [m].
 
-    A target that moved by far is placed between both by its network, where no reading to it fits.
+    The network places a target that moved far between both positions, so that no reading to it fits.
     """
     gross, sightings = np.asarray(fit.outliers.any(axis=1)), fit.adjustment.sightings
     moved = [i for i, c in enumerate(every) if c.family.kind == "target-moved"]
@@ -210,7 +214,10 @@ def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, 
 
 
 def _place(fit: Fit, rows: Ints) -> Floats | None:
-    """Place (3,) [m] of a target by some pointings to it, the stations as they are; None where it is not clear."""
+    """Position (3,) [m] of a target from some pointings to it, with the stations unchanged.
+
+    It is None if it is not unique.
+    """
     rows = rows[fit.whole.use[rows].any(axis=1)]
     sight, station = Sight.of(fit.recording).at(rows), fit.recording.station[rows]
     usable = replace(sight, readings=np.where(fit.whole.use[rows], sight.readings, np.nan))
@@ -218,10 +225,10 @@ def _place(fit: Fit, rows: Ints) -> Floats | None:
 
 
 def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:
-    """Offsets and scale errors of the distances at the places with most outliers, by a network without these distances.
+    """Offsets and scale errors of distances at the places with most outliers, from a network without these distances.
 
-    Distances that are wrong by far displace the target or the station itself, and its angles look as wrong as they.
-    Where that share of all pointings is gross no place stands out, and none is tried.
+    Distances with large errors displace the target or station, so that its angles have large residuals too. If gross
+    pointings are as frequent in the whole recording, no place is tried.
     """
     gross = np.asarray((fit.outliers & fit.is_gross).any(axis=1))
     if gross.mean() > HALF:
@@ -259,7 +266,7 @@ def _paid(fit: Fit, rows: Ints) -> float:
 
 
 def _rows_of(fit: Fit, hypothesis: Hypothesis) -> Ints:
-    """Rows to the targets of a hypothesis."""
+    """Rows with pointings to the targets of a hypothesis."""
     at = [fit.recording.targets.index(name) for name in hypothesis.targets]
     return np.flatnonzero(np.isin(fit.recording.target, at))
 
@@ -279,7 +286,7 @@ def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesi
 
 
 def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """The scale that all reference lengths share: their temperature, or that of the distances beside them."""
+    """Hypothesis of a common scale error of all reference lengths (or of the distances), with its gain."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge) < SEVERAL:
         return []
@@ -290,12 +297,12 @@ def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypot
 
 
 def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:
-    """Changes of the noise; readings that are outliers by the declared noise may be none by another."""
+    """Hypotheses of changed noise, with their gains; outliers by the declared noise may be none by another."""
     return [_noise(fit, h, readings) for h, readings in noises(fit)]
 
 
 def _noise(fit: Fit, hypothesis: Hypothesis, readings: Bools) -> tuple[float, Hypothesis]:
-    """A change of the noise with its log evidence and a guess, where the best number of outliers stays out."""
+    """Hypothesis of changed noise with its gain and a guess, for the best number of remaining outliers."""
     within, out = readings & fit.problem.use, readings & fit.outliers
     sizes = np.sort(np.abs(fit.whitened[out]))  # as many of the smaller ones as is best are outliers no more
     squares = np.sum(fit.whitened[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))

@@ -1,7 +1,7 @@
-"""Selection of the simple causes that a network supports: forward, backward and exchange, by one log evidence.
+"""Selection of the simple causes of a network by forward, backward and exchange steps, with one log evidence.
 
-After each step the network is fitted anew with what was chosen, and everything is looked at again beside it: outliers,
-reference values, the other hypotheses. Nothing is corrected before.
+After each step the network is fitted again with the selected hypotheses, and everything else (outliers, reference
+values, other hypotheses) is tested again. Nothing is corrected in advance.
 """
 
 from __future__ import annotations
@@ -20,49 +20,63 @@ from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import single_threaded
 
 LEAST_GAIN = 3.0
-"""Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
+"""Smallest gain of log evidence of a selected hypothesis: odds of 20 to 1, strong on the scale of Kass and Raftery
+(1995).
+"""
 AMONG_MISFIT = 30.0
-"""Log evidence that a hypothesis must gain where all readings scatter more than declared.
+"""Smallest gain of log evidence of a hypothesis if all readings scatter more than declared.
 
-A misfit of the model varies smoothly, so that its readings count several times: a tenth of this is what they tell.
+A misfit of the model varies smoothly, so that neighbouring readings repeat the same information: about a tenth of the
+gain is real.
 """
 LARGEST_GAIN = 1e30
-"""Log evidence in place of an infinite one: of a hypothesis without which there is no network."""
+"""Log evidence that replaces an infinite one, of a hypothesis without which there is no network."""
 MOST = 8
-"""Hypotheses that are chosen at most: a network with more simple causes is measured again."""
+"""Largest number of selected hypotheses."""
 BEYOND_DOUBT = 7.0
-"""Log evidence of a cause, odds of 1000 to 1, from which the whole network is adjusted with it."""
+"""Log evidence of a cause (odds of 1000 to 1) from which the whole network is adjusted with it."""
 SHARED = ("constant-offset", "scale-error", "orientation", "reflector-radius")
 """Kinds of causes that all readings of one observable, or of one set-up, share."""
 WRONG_PLACE = 0.1
-"""[m] Miss of a reference value from which a network that is adjusted with it may not converge."""
+"""Misclosure of a reference value [m] above which a network that uses it may not converge."""
 TRIED = 4
-"""Hypotheses that are fitted in a step, in the order of what they promise."""
+"""Number of hypotheses that are fitted in a step, in the order of their approximate gains."""
 LARGE = 1500
-"""Pointings from which a network that agrees as a whole is not looked at place by place: 5 s of processor time."""
+"""Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
+time).
+"""
 COMPUTED = 1e-6
-"""Chi-square over degrees of freedom below which readings are computed: a thousandth of the declared noise."""
+"""Ratio of chi-square to degrees of freedom below which readings count as computed: a thousandth of
+the declared noise.
+"""
 FEW = 0.01
-"""Share of outliers below which a large network agrees, if the global test accepts it at `FAMILY_LEVEL`."""
+"""Largest fraction of outliers at which a large network counts as consistent if the global test accepts it at
+`FAMILY_LEVEL`.
+"""
 FAR_AMONG = 3
-"""Reference values among which one may be far off and omitted at the beginning: of more no majority tells which."""
+"""Ratio of all reference values to those far off from which the latter are omitted at the beginning: a majority."""
 AFTER_ALL = 0.5
-"""Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
+"""Fraction of its approximate gain that a hypothesis must reach from the present state; otherwise it is fitted from the
+start.
+"""
 BENDS = 50.0
-"""Log evidence of a shift of ten standard deviations; a smaller shift hardly changes where a network converges."""
+"""Log evidence of a shift of ten standard deviations; a smaller shift hardly changes the converged state."""
 FULFILLED = 0.8
-"""Share of its promise, a quadratic form at the present state, from which the look at the others may be trusted too."""
+"""Fraction of the approximate gain reached by the first hypothesis from which the approximate gains of the others are
+trusted.
+"""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A chosen hypothesis, the log evidence that it gains beside the others, and what was fitted in its place."""
+    """Selected hypothesis, its gain of log evidence given the others, and the alternatives fitted in its place."""
 
     hypothesis: Hypothesis
     gain: float
@@ -77,7 +91,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Selection:
-    """A network with the causes that it supports.
+    """Network with the simple causes that the readings support.
 
     Attributes
     ----------
@@ -91,10 +105,10 @@ class Selection:
 
     @property
     def leads(self) -> bool:
-        """True if the network must be adjusted with the selected hypotheses from the start, because they make it agree.
+        """True if the network must be adjusted with the selected hypotheses from the start to be consistent.
 
-        With an error that all readings of a set-up or a target share, or a reference value that is far off, nothing
-        else of a network can be judged. Single motions and reference values are left to their own tests.
+        An error that all readings of a set-up or target share, or a reference value that is far off, prevents all other
+        tests. Single motions and reference values have separate tests.
         """
         sure = [c.hypothesis for c in self.choices if c.gain > BEYOND_DOUBT]
         shared = [h for h in sure if h.kind in SHARED]
@@ -118,11 +132,11 @@ class Selection:
 
     @property
     def explains(self) -> bool:
-        """True if the network agrees with the selected hypotheses and none of these is in doubt.
+        """True if the network is consistent with the selected hypotheses and none of them is doubtful.
 
-        A set-up in another unit or sense is no such choice, for its rows are to be read anew; nor is noise that is
-        less than declared, for what it makes outliers of may be none; nor more noise where outliers remain. Reference
-        values and tripods over marks have tests that know more about them.
+        Excluded are set-ups in another unit or sense (their rows are read again), noise smaller than declared (its
+        outliers may be none), and larger noise with remaining outliers. Reference values and tripods over marks have
+        more specific tests.
         """
         changes = [c.hypothesis.change for c in self.choices]
         quieter = any(isinstance(change, NoiseFactor) and change.guess < 1.0 for change in changes)
@@ -133,23 +147,23 @@ class Selection:
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
-"""A fit, and the hypotheses that were fitted beside its own."""
+"""Fit, and the hypotheses that were fitted in addition to its own."""
 
 
 @single_threaded
 def select(network: Network, least: float = LEAST_GAIN) -> Selection:
-    """Select the simple causes of a recording.
+    """Selection of the simple causes of a recording.
 
     Parameters
     ----------
     network : Network
     least : float
-        Log evidence that each must gain.
+        Smallest gain of log evidence.
 
     Raises
     ------
     NetworkError
-        When the readings determine no network, whatever is wrong.
+        If the readings determine no network with any hypothesis.
     """
     fit = beginning = _beginning(network)
     last: Looked | None = None
@@ -172,9 +186,9 @@ def _misfit(fit: Fit) -> bool:
 
 
 def _agrees(fit: Fit) -> bool:
-    """True if a large network, or one of computed readings, agrees as a whole, so that no place is searched.
+    """True if a large network, or one of computed readings, is consistent as a whole, so that no place is searched.
 
-    In a network of `LARGE` pointings what one place hides is small for all others.
+    In a network of `LARGE` pointings an error at one place has little influence on the others.
     """
     if fit.solution.cost < COMPUTED * fit.problem.dof:
         return True
@@ -188,7 +202,11 @@ def _agrees(fit: Fit) -> bool:
 def identified(
     recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
 ) -> Selection | None:
-    """The simple causes of a recording, by default beside the errors of its instrument; None where it is no network."""
+    """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
+
+    NetworkError where it holds too many pointings.
+    """
+    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     try:
         return select(Network(recording, construction or declared_construction(recording), prior))
     except LtsimError:
@@ -196,9 +214,9 @@ def identified(
 
 
 def _beginning(network: Network) -> Fit:
-    """The fit with the units and senses of set-ups whose shape shows them, without reference values that are far off.
+    """Initial fit with corrected units and senses of set-ups, and without reference values that are far off.
 
-    With these a network bends so far that nothing else of it can be seen.
+    These would distort the network too much for any other test.
     """
     corrections = conventions(network.recording)
     far, count = Fit.far_references(network, corrections)
@@ -215,10 +233,10 @@ def _beginning(network: Network) -> Fit:
 
 
 def _fitted(fit: Fit, at_least: float = 0.0, instead_of: Hypothesis | None = None) -> list[tuple[Hypothesis, Fit]]:
-    """The hypotheses that promise most, `at_least` so much log evidence, fitted beside the others; the best first.
+    """Fitted hypotheses with the largest approximate gains (at least `at_least`), the best first.
 
-    Where the first keeps its promise, only what may explain the same readings is fitted beside it: the order in which
-    causes at different places are chosen does not matter.
+    If the first reaches its approximate gain, only hypotheses that may explain the same readings are fitted too,
+    because the order of causes at different places has no influence.
     """
     first, attempts = 0.0, 0
     tried: list[tuple[Hypothesis, Fit]] = []
@@ -240,7 +258,7 @@ def _fitted(fit: Fit, at_least: float = 0.0, instead_of: Hypothesis | None = Non
 
 
 def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
-    """The fit with one more hypothesis, from where the network stands, or anew where that disappoints."""
+    """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
     best: Fit | None = None
     near = fit.adjustment.sightings
     for start in (replace(fit.state, extra=np.zeros(0)), None):
@@ -257,10 +275,11 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
 
 
 def _without_needless(fit: Fit, least: float, first: int, required: list[Hypothesis]) -> Fit:
-    """The fit without hypotheses that the last one leaves nothing to explain.
+    """Fit without hypotheses that are no longer needed.
 
-    Of the `first`, with which the fit began, only omitted reference values are tried: without the others is no network.
-    Nor is one without those `required`, to which each hypothesis is added that shows to be such.
+    Of the `first` hypotheses, with which the fit started, only omitted reference values may be removed, because without
+    the others there is no network. Hypotheses in `required` also remain; any that prove to be necessary are added to
+    it.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
         if (i < first and not isinstance(h.change, Omission)) or not h.competes(fit.hypotheses[-1]):
@@ -272,7 +291,7 @@ def _without_needless(fit: Fit, least: float, first: int, required: list[Hypothe
 
 
 def _less(fit: Fit, hypothesis: Hypothesis, required: list[Hypothesis]) -> Fit | None:
-    """The fit without one of its hypotheses; None, and an entry in `required`, where there is no network without it."""
+    """Fit without one of its hypotheses; None, and an entry in `required`, if there is no network without it."""
     if any(h is hypothesis for h in required):
         return None
     others = tuple(h for h in fit.hypotheses if h is not hypothesis)
@@ -286,9 +305,10 @@ def _less(fit: Fit, hypothesis: Hypothesis, required: list[Hypothesis]) -> Fit |
 
 
 def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None, required: list[Hypothesis]) -> Selection:
-    """Every chosen hypothesis beside the others: what it gains, and what in its place would; the better one stays.
+    """Selection in which every chosen hypothesis is compared again with its alternatives, given the others.
 
-    Those of the `beginning` have no network without them. `last` is what was fitted beside all but the last one.
+    Without those of the `beginning` there is no network. `last` are the hypotheses that were fitted in place of the
+    last one.
     """
     choices = [Choice(h, np.inf, ()) for h in fit.hypotheses if h in beginning.hypotheses]
     for h in fit.hypotheses[len(choices) :]:

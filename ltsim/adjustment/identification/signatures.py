@@ -1,4 +1,4 @@
-"""Signatures of simple causes: an offset or a scale error of one observable, at a station or target, from a time on."""
+"""Signatures of simple causes: offset or scale error of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,9 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class ReadingShift(Signature):
-    """Offset, or scale error, of the readings of one observable; of elevations the vertical index, alike on both faces.
+    """Offset or scale error of the readings of one observable.
+
+    An elevation offset is the vertical index, equal on both faces.
 
     Attributes
     ----------
@@ -42,7 +44,7 @@ class ReadingShift(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The change of a reading, or of its share of the range."""
+        """Change of a reading, or of its ratio to the range."""
         if self.proportional:
             return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
         if self.observable == "distance":
@@ -62,7 +64,7 @@ class ReadingShift(Signature):
         return on_readings(sightings, **{self.observable: -size[:, None]})
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
-        """The change at a value; distances that have a scale error change by that share of their change."""
+        """Change of the readings at a value; distances with a scale error change in proportion to their change."""
         design = self.design(sightings)
         if not self.proportional:
             return Linearisation(design @ values, design)

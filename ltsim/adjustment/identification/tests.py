@@ -1,4 +1,4 @@
-"""The table of tests that every result has: each hypothesis that was accepted, each outlier, with size and evidence."""
+"""Table of tests of every result: accepted hypotheses and outliers, with size and evidence."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ T = TypeVar("T")
 
 
 class Place(Entry):
-    """Stations and targets to which a test is confined; empty for all of them."""
+    """Stations and targets at which a test applies; empty for all."""
 
     stations: tuple[str, ...] = ()
-    """Stations."""
+    """Names of the stations."""
     targets: tuple[str, ...] = ()
-    """Targets."""
+    """Names of the targets."""
 
 
 class Alternative(Entry):
-    """Another hypothesis that was fitted in the place of an accepted one."""
+    """Alternative hypothesis that was fitted in place of an accepted one."""
 
     kind: str
     """Kind of the hypothesis, as `kind` of a test."""
@@ -61,19 +61,19 @@ class Test(Entry):
     where: Place
     """Stations or targets at which it acts."""
     statistic: Finite
-    """Fall of chi-square; twice the log likelihood ratio for noise and mistakes."""
+    """Decrease of chi-square; for noise and blunders twice the log likelihood ratio."""
     dof: int
-    """Components that are tested."""
+    """Number of tested components."""
     p_value: OptionalFloat = None
-    """Chance of as large a statistic without it, one test alone."""
+    """p-value of the statistic, for a single test."""
     estimate: OptionalFloat = None
-    """Size."""
+    """Estimated size."""
     sigma: OptionalFloat = None
-    """Standard deviation of `size`."""
+    """Standard deviation of the estimate."""
     unit: str = ""
     """Unit of the estimate and of its standard deviation."""
     rows: tuple[int, ...] = ()
-    """Rows of the recording, from 1, where they are few."""
+    """Rows of the recording, from 1, if they are few."""
     probability: OptionalFloat = None
     """Posterior probability among the alternatives."""
     alternatives: tuple[Alternative, ...] = ()
@@ -81,21 +81,21 @@ class Test(Entry):
     accepted: bool = True
     """True if the hypothesis is part of the model of the result."""
     sentence: str = ""
-    """Text for a person."""
+    """Sentence on the test."""
 
 
 MOST_OUTLIERS = 20
-"""Outliers that have a test of their own; of more the largest."""
+"""Largest number of outliers with a separate test, the largest first."""
 SMR_SIZES = {12.7e-3: ("0.5 inch", "1.5 inch"), 7.94e-3: ("7/8 inch", "1.5 inch"), 4.76e-3: ("0.5 inch", "7/8 inch")}
-"""[m] Differences of the radii of usual SMRs, with the smaller and the larger one."""
+"""Differences of the radii of common SMRs [m], with the smaller and the larger one."""
 PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
-"""[m] Constants of usual prisms."""
+"""Constants of common prisms [m]."""
 NEAR = 60e-6
-"""[m] Tolerance between an offset and a nominal size, where the uncertainty of the offset is smaller."""
+"""Tolerance [m] between an offset and a nominal size, for an offset with a smaller uncertainty."""
 
 
 def outcomes(selection: Selection) -> tuple[Test, ...]:
-    """The tests of a selection: accepted hypotheses, the surest first, then outliers."""
+    """Tests of a selection: accepted hypotheses, the most probable first, then outliers."""
     fit = selection.fit
     return (*(_accepted(fit, choice) for choice in selection.choices), *_outliers(fit))
 
@@ -144,7 +144,7 @@ def noise_factor(fit: Fit, hypothesis: Hypothesis) -> float:
 
 
 def _size(h: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
-    """Size, standard deviation and unit: of a vector its length."""
+    """Size, standard deviation and unit; of a vector its length."""
     assert isinstance(h.change, Shift)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(h.change.effect, ReadingShift):
@@ -159,7 +159,7 @@ def _size(h: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
 
 
 def _missed(fit: Fit, h: Hypothesis) -> tuple[float, str, float]:
-    """Misclosure of an excluded reference value [SI], and the name and size of its display unit."""
+    """Misclosure of an excluded reference value [SI], and the name and size of its unit of display."""
     assert isinstance(h.change, Omission)
     size = float(np.linalg.norm(fit.gap_of(h.change.value)))
     angular = h.change.value.kind in ("level", "yaw")
@@ -182,7 +182,7 @@ REFERENCES = {
 
 
 def sentence_of(fit: Fit, h: Hypothesis) -> str:
-    """A hypothesis that was accepted, in a sentence with its usual causes."""
+    """Sentence on an accepted hypothesis with its usual causes."""
     at = ", ".join((*h.stations, *h.targets))
     if isinstance(h.change, Correction | Exchange):
         return h.name
@@ -190,8 +190,8 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         factor = noise_factor(fit, h)
         what = "The readings" if h.acts_on == "noise" else f"The readings of the {h.acts_on}"
         of = f" {'from' if h.stations else 'to'} {at}" if at else ""
-        cure = "state the noise as it is in the set-up" if not at else "measure again, or state it so in the set-up"
-        return f"{what}{of} scatter {factor:.2g} times as much as stated (sigma); {cure}."
+        cure = "declare this noise in the set-up" if not at else "measure again, or correct the set-up"
+        return f"{what}{of} scatter {factor:.2g} times as much as declared (sigma); {cure}."
     if isinstance(h.change, Omission):
         miss, unit, factor = _missed(fit, h)
         plural = h.change.value.kind == "point"
@@ -207,18 +207,18 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         cause = cause or ("another SMR or prism" if h.targets else "another SMR, or a wrong distance constant")
         return f"The distances {'to' if h.targets else 'from'} {at} are {size} too {more}: {cause}."
     if h.kind == "constant-offset":
-        return f"The elevations from {at} are off by {size}: another vertical index at this set-up."
+        return f"The elevations from {at} are wrong by {size}: another vertical index at this set-up."
     if h.kind == "scale-error":
         return f"The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
     if h.kind == "reference-scale":
-        causes = "a temperature, an expansion or the scale of the distances is not as stated"
+        causes = "a temperature, an expansion or the scale of the distances is not as declared"
         return f"The reference lengths and the distances differ in scale by {size}: {causes}."
     if h.kind == "reflector-radius":
         cause = usual_radius(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
         return f"At {at} the centres of the SMRs are displaced along the normals {side} their nests by {size}: {cause}."
     if h.kind == "station-drift":
-        return f"Station {at} moved evenly while it measured, by {size} in all."
+        return f"Station {at} moved at a constant rate during its measurement, by {size} in total."
     between = _between(fit, h)
     if h.kind == "orientation":
         return f"The horizontal circle of {at} was turned by {size} {between}."
@@ -233,7 +233,7 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
 
 
 def _between(fit: Fit, h: Hypothesis) -> str:
-    """The rows between which a change happened."""
+    """Text of the rows between which a change happened."""
     assert isinstance(h.change, Shift)
     effect, s = h.change.effect, fit.adjustment.sightings
     since = effect.since if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
@@ -245,17 +245,17 @@ def _between(fit: Fit, h: Hypothesis) -> str:
     rows = s.order[acts[s.order]]
     at = int(np.searchsorted(s.time[rows], since))
     if not 0 < at < len(rows):
-        return "while it was measured"
+        return "during its measurement"
     return f"between rows {rows[at - 1] + 1} and {rows[at] + 1}"
 
 
 def _plain(value: float) -> str:
-    """Four digits, large numbers written out."""
+    """Number with four digits, large ones without exponent."""
     return f"{float(f'{value:.4g}'):.12g}"
 
 
 def usual_size(value: float, sigma: float) -> str:
-    """The usual cause of an offset of distances [m]; empty for none."""
+    """Text of the usual cause of an offset of distances [m]; empty for none."""
     pairs = {
         size: f"the radii of a {small} and a {large} SMR differ by this" for size, (small, large) in SMR_SIZES.items()
     }
@@ -263,7 +263,10 @@ def usual_size(value: float, sigma: float) -> str:
 
 
 def usual_radius(value: float, sigma: float) -> str:
-    """The SMR that was used in place of another, by the motion [m] of its centre away from the nest; empty for none."""
+    """Text of the SMR that was used in place of another, from the displacement [m] of its centre from the nest.
+
+    It is empty for none.
+    """
     pair = _near(SMR_SIZES, value, sigma)
     if pair is None:
         return ""
@@ -272,13 +275,13 @@ def usual_radius(value: float, sigma: float) -> str:
 
 
 def _near(usual: Mapping[float, T], value: float, sigma: float) -> T | None:
-    """Entry of the usual size [m] that a value has within `NEAR`; None where none has it or its sigma is larger."""
+    """Entry of the usual size [m] within `NEAR` of a value; None if there is none or the sigma is larger."""
     close = [entry for size, entry in usual.items() if abs(abs(value) - size) < NEAR and sigma < NEAR]
     return close[0] if close else None
 
 
 def _outliers(fit: Fit) -> list[Test]:
-    """Single readings that were left out, the largest first; each against its prediction by all readings in use."""
+    """Tests of rejected readings, the largest first, each against its prediction by all readings in use."""
     recording, tests = fit.recording, list[Test]()
     at = np.argwhere(fit.outliers)
     at = at[np.argsort(-np.abs(fit.whitened[fit.outliers]))][:MOST_OUTLIERS]
@@ -315,7 +318,7 @@ def _outliers(fit: Fit) -> list[Test]:
 
 
 def _moved_instead(fit: Fit, row: int, drop: float) -> float:
-    """Probability that the target of an outlier has moved, which its last pointing alone would show like that."""
+    """Probability that the target of an outlier has moved, which is possible if it is the last pointing."""
     s = fit.adjustment.sightings
     same = np.flatnonzero(s.target == s.target[row])
     if same[np.argmax(s.time[same])] != row or len(same) < 2:

@@ -1,10 +1,9 @@
 """Minimal detectable size of every effect in a network.
 
-A test finds what leaves enough: the squared length of what the adjustment leaves of a whitened signature must reach the
-noncentrality that the test needs (`reliability.noncentrality`). A diagnosis does not test one effect, it looks for
-every effect of the catalogue at all of its places and with all of its shapes, and a single one has to stand out among
-as many. Its false-alarm rate is shared out: the families of effects have even odds, and so have the members of a
-family.
+A test detects an effect if the squared length of its projected whitened signature reaches the noncentrality of the test
+(`reliability.noncentrality`). A diagnosis tests every effect of the catalogue at all of its places and with all of its
+shapes. Its false-alarm rate is divided equally among the families of effects, and within a family equally among its
+members.
 
 References
 ----------
@@ -30,26 +29,26 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 P = TypeVar("P")
 CONFUSABLE = 0.9
-"""Share of a signature that another effect explains, from which on the two are called alike."""
+"""Fraction of a signature that another effect explains from which the two count as confusable."""
 BATCH = 512
-"""Rows projected at once."""
+"""Number of rows that are projected together."""
 MOST_PLACES = 150
-"""Places and shapes of one effect that are looked at."""
+"""Largest number of places and shapes of one effect that are examined."""
 
 
 @cache
 def search_noncentrality(dof: int, places: int) -> float:
-    """Noncentrality that an effect of `dof` parameters, sought at so many `places`, needs to be found by a search.
+    """Noncentrality at which a search detects an effect of `dof` parameters that is tried at `places` places.
 
-    It shares the false-alarm rate with all its places and shapes, and with all effects of the catalogue; what is not
-    in the catalogue counts as one effect more.
+    The false-alarm rate is divided among all its places and shapes, and among all effects of the catalogue; unknown
+    physics counts as one more effect.
     """
     return noncentrality(dof, level=GLOBAL_LEVEL, hypotheses=places * (len(CATALOGUE) - len(BASELINE) + 1))
 
 
 @dataclass(frozen=True)
 class MinimalSize:
-    """Minimal detectable size of one parameter of an effect: the size that is detected in 80 % of recordings."""
+    """Minimal detectable size of one parameter of an effect, which is detected with a probability of 80 %."""
 
     effect: str
     parameter: str
@@ -57,17 +56,17 @@ class MinimalSize:
     best: float
     typical: float
     worst: float
-    """[SI]: at the best, median and worst of its places and shapes; infinite where it leaves no trace."""
+    """Sizes at the best, median and worst of its places and shapes [SI]; infinite for an absorbed effect."""
     prior_sigma: float
-    """[SI]: a plausible size."""
+    """Plausible size of the parameter [SI]."""
     visible: float
-    """Median share of the signature that the adjustment leaves."""
+    """Median fraction of the signature that remains after the adjustment."""
     worst_place: str
-    """Station, target or shape of the worst one."""
+    """Station, target or shape at the worst place."""
 
 
 def thinned(places: Sequence[P]) -> list[P]:
-    """Selection of at most `MOST_PLACES` places, evenly spread."""
+    """Selection of at most `MOST_PLACES` places, distributed evenly."""
     if len(places) <= MOST_PLACES:
         return list(places)
     return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MOST_PLACES).round().astype(int))]
@@ -82,10 +81,10 @@ class EffectDetectability:
     """Parameters of the effect at each place: an effect with several laws has several sets."""
     places: tuple[str, ...]
     sizes: tuple[Floats, ...]
-    """Minimal detectable sizes at each place; infinite where nothing is left, (q,) [SI]."""
+    """Minimal detectable sizes at each place, (q,) [SI]; infinite for an absorbed effect."""
     visible: tuple[float, ...]
     columns: tuple[Floats, ...]
-    """Orthonormal, spanning what is left; empty for noise, and where a diagnosis keeps none, (m, r)."""
+    """Orthonormal columns (m, r) of the projected signature; empty for noise, and if they are not needed."""
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable sizes, one per parameter."""
@@ -103,10 +102,10 @@ class EffectDetectability:
 
 
 def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
-    """Information (q, q) on the parameters of each noise effect: half the trace of P D_i P D_j.
+    """Information (q, q) on the parameters of each noise effect, half the trace of P D_i P D_j.
 
-    P projects off the adjustment; D is the change of the whitened variances per unit, by central differences over a
-    tenth of the plausible size.
+    P is the projector onto the residual space; D is the derivative of the whitened variances, by central differences
+    over a tenth of the plausible size.
     """
     problem, changes = space.adjustment.problem, []
     for effect in places:
@@ -125,7 +124,7 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
 
 
 def examine(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
-    """Residual signatures of one effect at all places that a search would try; None where the network lacks its needs.
+    """Detectability of one effect at all places that a search would try; None if the network lacks data that it needs.
 
     At most `MOST_PLACES` of the places are examined.
     """
@@ -151,9 +150,10 @@ def examine(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectabili
 def effect_detectability(
     signatures: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int
 ) -> EffectDetectability:
-    """Residual signatures of one effect by place: information (q, q), visible share, rank, columns (m, r) of each.
+    """Detectability of one effect from its projected signatures.
 
-    `sought` is the number of places that a search tries.
+    Each place gives information (q, q), visible fraction, rank, and columns (m, r). `sought` is the number of places
+    that a search tries.
     """
     effects, information, visible, spent, columns = zip(*signatures, strict=True)
     needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
@@ -163,9 +163,10 @@ def effect_detectability(
 
 
 def visible_information(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, Floats, Ints]:
-    """Information (..., q, q), visible share (...) and rank (...) from Gram matrices of projected unit columns.
+    """Information (..., q, q), visible fraction (...) and rank (...) from Gram matrices of projected unit columns.
 
-    `norm` (..., q) are the lengths of the columns, `visible` the share of a squared length that is rounding.
+    `norm` (..., q) are the lengths of the columns, `visible` is the fraction of a squared length below which it is
+    rounding.
     """
     share = np.einsum("...ii->...i", gram)
     shown = np.where(share < visible, 0.0, norm)
@@ -182,7 +183,7 @@ def _smallest(information: Floats, needed: float) -> Floats:
 
 
 def _place(effect: Effect) -> str:
-    """Description for the user of the place and shape of an instance."""
+    """Text of the place and shape of an effect."""
     parts = [*effect.stations, *effect.targets]
     for shape in type(effect).shape:
         value = getattr(effect, shape.name, None)
@@ -192,9 +193,9 @@ def _place(effect: Effect) -> str:
 
 
 def examine_baseline(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
-    """Minimal detectable size of a term of the ordinary calibration, beside the other terms with their priors.
+    """Detectability of a term of the ordinary calibration, with the other terms and their priors in the model.
 
-    It is estimated from the readings, not tested; this is the size its estimate must have to be told from zero.
+    Such a term is estimated and not tested; the size is the one at which its estimate differs significantly from zero.
     """
     at = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
@@ -204,9 +205,9 @@ def examine_baseline(adjustment: Adjustment, effect: Effect) -> EffectDetectabil
 
 
 def explained_fraction(first: EffectDetectability, second: EffectDetectability) -> float:
-    """Share of the first effect's visible signature that the second explains: median over the first's places.
+    """Fraction of the first effect's projected signature that the second explains: median over the first's places.
 
-    The second may take any of its places and shapes, as it may in a diagnosis.
+    The second may have any of its places and shapes, as in a diagnosis.
     """
     if not any(b.shape[1] for b in second.columns):
         return 0.0
@@ -222,21 +223,21 @@ def explained_fraction(first: EffectDetectability, second: EffectDetectability) 
 
 @dataclass(frozen=True)
 class Detectability:
-    """Every catalogued effect in one layout."""
+    """Detectability of all effects of the catalogue in one layout."""
 
     effects: tuple[EffectDetectability, ...]
     silent: tuple[str, ...]
-    """Effects that leave no trace anywhere in this layout, or need what the layout does not state."""
+    """Effects without a projected signature in this layout, or that need data which it does not contain."""
     names: tuple[str, ...]
     similarity: Floats
-    """Row effect explained by column effect, 0 to 1, for those with a signature (`names`), (e, e)."""
+    """Fraction of the row effect that the column effect explains, (e, e), for effects with a signature (`names`)."""
 
     def table(self) -> list[MinimalSize]:
         """Minimal detectable sizes, one per parameter of every effect."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
     def confusable(self) -> list[tuple[str, str, float]]:
-        """Pairs (effect, what it would be taken for, share explained), the most alike first."""
+        """Pairs of effects (effect, confusable effect, explained fraction), the most similar first."""
         first, second = np.nonzero((self.similarity > CONFUSABLE) & ~np.eye(len(self.names), dtype=bool))
         pairs = [
             (self.names[i], self.names[j], float(self.similarity[i, j])) for i, j in zip(first, second, strict=True)
@@ -245,9 +246,9 @@ class Detectability:
 
 
 def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]) -> Detectability:
-    """Examine every effect of a catalogue in a layout (at its nominal adjustment).
+    """Detectability of all effects of a catalogue in a layout, at its nominal adjustment.
 
-    Terms that the construction estimates count as such; all others are signatures on top of it.
+    Terms that the construction estimates are treated as estimated; all others are additional signatures.
     """
     space = ResidualSpace.of(adjustment)
     estimated = set(adjustment.construction.names)

@@ -1,7 +1,7 @@
-"""A network with pointings that nobody has made yet: the one way to extend a recording.
+"""Network with hypothetical pointings: extension of a recording by measurements that have not been made.
 
-Readings do not enter a covariance: those of a new pointing are what the adjusted network predicts, and everything that
-an adjustment knows of precision is then known of the extended network.
+A covariance does not depend on readings: those of a new pointing are predicted by the adjusted network, and the
+adjustment of the extended network gives its precision.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
 from ltsim.recordings.setup import GaugeDistance
 
 SECONDS = 15.0
-"""Time of a pointing where the recording has no clock."""
+"""Time of a pointing [s] for a recording without clock."""
 
 
 @dataclass(frozen=True)
 class Network:
-    """A recording that may hold pointings nobody made, and the state that predicts them."""
+    """Recording that may contain hypothetical pointings, and the state that predicts their readings."""
 
     recording: Recording
     state: State
     construction: Construction
     """Construction of the instrument whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of these parameters; by default the one that the set-up declares."""
+    """Prior of these parameters; None for the one declared in the set-up."""
 
     @classmethod
     def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:
-        """The adjusted network as it is, without readings that were left out.
+        """Network of an adjustment, without rejected readings.
 
-        An adjustment of corrected readings has no parameters: they count as zeros of `construction`.
+        An adjustment of corrected readings has no parameters; those of `construction` are then zero.
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
@@ -54,7 +54,7 @@ class Network:
 
     @cached_property
     def adjustment(self) -> Adjustment:
-        """The adjustment that this network would have; NetworkError where the pointings leave a pose undetermined."""
+        """Adjustment of this network; raises NetworkError for an undetermined pose."""
         return Adjustment.planned(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
@@ -64,7 +64,7 @@ class Network:
 
     @property
     def seconds_per_pointing(self) -> float:
-        """[s] Usual time between pointings."""
+        """Usual time [s] between pointings."""
         recording = self.recording
         if not recording.has_clock or len(recording) < 2:
             return SECONDS
@@ -73,7 +73,7 @@ class Network:
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
     ) -> Network:
-        """Further pointings at `target` (k,), all later than the rest; an instrument reads what it has read so far.
+        """Network with additional pointings to `target` (k,), later than all others.
 
         `time` [s] is that of the first of them, or of each; default right after the last one made.
         """
@@ -110,7 +110,10 @@ class Network:
         return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
 
     def with_station(self, name: str, like: int, position: Floats, rotation: Floats) -> Network:
-        """A further set-up at `position` (3,), `rotation` (3, 3), with the instrument and level of set-up `like`."""
+        """Network with an additional set-up at `position` (3,), `rotation` (3, 3).
+
+        Instrument and level are those of set-up `like`.
+        """
         recording, state = self.recording, self.state
         declared = recording.station_setup(recording.stations[like])
         fresh = declared.model_copy(
@@ -122,12 +125,12 @@ class Network:
         return replace(self, recording=grown, state=replace(state, position=places, rotation=turns))
 
     def with_targets(self, names: Sequence[str], points: Floats) -> Network:
-        """Further reflectors at `points` (k, 3), not measured yet."""
+        """Network with additional reflectors at `points` (k, 3) without pointings."""
         grown = self.recording.replace(targets=(*self.recording.targets, *names))
         return replace(self, recording=grown, state=replace(self.state, points=np.vstack([self.state.points, points])))
 
     def with_length(self, first: int, second: int, sigma_mm: float) -> Network:
-        """The distance between two targets calibrated; the same network where it is known already."""
+        """Network with the calibrated distance between two targets; unchanged if it is already known."""
         recording, rows = self.recording, GaugeRows.of(self.recording)
         if {first, second} in (set(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)):
             return self

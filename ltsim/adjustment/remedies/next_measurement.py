@@ -1,7 +1,8 @@
-"""Next measurement: the remedy that gives most information on the instrument, or that decides between explanations.
+"""Next measurement: the one that gives most information on the instrument, or that decides between explanations.
 
-The expected evidence between two explanations is what the best instance of the rival, at any of its places and shapes,
-leaves of the true signature: a difference of chi-square. Nobody knows which of the two is true; the smaller counts.
+The expected evidence between two explanations is a chi-square difference: the part of the true signature that the best
+instance of the rival, at any of its places and shapes, does not explain. Since the true one is unknown, the smaller
+difference is used.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 
 DECISIVE = 10.0
-"""Expected difference of chi-square from which two explanations count as told apart."""
+"""Expected difference of chi-square from which two explanations count as distinguished."""
 FINALISTS = 24
-"""Further places whose evidence is computed in full: those that tell most about the instrument."""
+"""Number of additional places whose evidence is computed completely: those with most information on the instrument."""
 MOVE = 1200.0
-"""[s] Default time to carry the instrument to another place and set it up."""
+"""Default time [s] to move the instrument and set it up."""
 
 Progress = Callable[[str, float], None]
-"""Told what is being done and which share of it is done."""
+"""Progress callback: name of the step, and finished fraction."""
 
 
 def quiet(*_arguments: object) -> None:
@@ -55,25 +56,25 @@ def quiet(*_arguments: object) -> None:
 
 @dataclass(frozen=True)
 class Explanation:
-    """An effect at the place and with the shape that fit a recording best, and its size (q,) [SI]."""
+    """Effect at the place and with the shape that fit a recording best, and its size (q,) [SI]."""
 
     effect: Effect
     values: Floats
 
 
 def space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
-    """The residual space of an adjustment with `extra_effects` estimated too."""
+    """Residual space of an adjustment with `extra_effects` in the model."""
     return ResidualSpace.of(adjustment).with_effects(extra_effects)
 
 
 def explanation(space: ResidualSpace, name: str) -> Explanation:
-    """The effect called `name` where, and with the shape with which, it fits the residuals best.
+    """Explanation of a recording by the effect `name`, at the place and with the shape of the best fit.
 
-    Raises ModelError when there is no such effect, or it leaves no trace in this recording.
+    Raises ModelError for an unknown effect, and for one without a signature in this recording.
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
-        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be told apart here")
+        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
     best: Explanation | None = None
     least = float(space.residual @ space.residual)
     for effect in kind.candidates(space.sightings):
@@ -81,12 +82,12 @@ def explanation(space: ResidualSpace, name: str) -> Explanation:
         if sum_of_squares < least:
             least, best = sum_of_squares, Explanation(effect, values)
     if best is None:
-        raise ModelError(f"{name} leaves no trace in this recording; no size of it can be taken from it")
+        raise ModelError(f"{name} has no signature in this recording, so its size cannot be estimated from it")
     return best
 
 
 def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
-    """Size (q,) of an effect that fits a projected vector best, and the square of what it leaves."""
+    """Size (q,) of an effect that fits a projected vector best, and the remaining squared length."""
     projected = space.project(space.signature(effect))
     if not np.isfinite(projected).all() or not projected.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
@@ -96,18 +97,19 @@ def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Flo
 
 @dataclass(frozen=True)
 class Rivals:
-    """Two explanations, with all that could stand in for either."""
+    """Rival explanations with all their alternative instances."""
 
     first: Explanation
     second: Explanation
     rival_instances: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
-    """Every instance of the second and what it leaves of the first in the recording as it is, the least
-    first; then the other way round. More pointings never leave less.
+    """Alternative instances of the second explanation, with the part of the first that each leaves unexplained in the
+    present recording, the smallest first; then the same with exchanged roles. Additional pointings never decrease these
+    parts.
     """
 
     @classmethod
     def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
-        """Rival explanations in the residual space of a recording."""
+        """Rivals of two explanations in the residual space of a recording."""
         return cls(
             first,
             second,
@@ -116,11 +118,11 @@ class Rivals:
 
     @property
     def now(self) -> float:
-        """Evidence in the recording as it is."""
+        """Evidence in the present recording."""
         return min(instances[0][0] for instances in self.rival_instances)
 
     def evidence(self, space: ResidualSpace) -> float:
-        """Expected difference of chi-square in a longer recording, whichever of the two holds."""
+        """Expected difference of chi-square in a longer recording, for either explanation."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
             signature = space.project(space.signature(truth.effect) @ truth.values)
@@ -141,20 +143,23 @@ def _rival_instances(space: ResidualSpace, truth: Explanation, rival: Effect) ->
 
 @dataclass(frozen=True)
 class Proposal(ValueEquality):
-    """A remedy and what it would bring."""
+    """Proposed measurement and its expected benefit."""
 
     remedy: Remedy
     sharper: float
     """Factor on the geometric mean of the parameters' standard deviations; below one is better."""
     serves: str
-    """The parameter that profits most, and the factor on its standard deviation."""
+    """Parameter that gains most, and the factor on its standard deviation."""
     serves_factor: float
     evidence: dict[str, float] = field(default_factory=dict)
-    """Expected difference of chi-square between the first explanation and each other, whichever of the two holds."""
+    """Expected chi-square difference between the first explanation and each other one, by name."""
 
     @classmethod
     def of(cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None) -> Proposal:
-        """Proposal by a remedy's gain for a planned network's first instrument; no gain for one without parameters."""
+        """Proposal from a remedy's gain for the first instrument of a planned network.
+
+        Gain 1 for one without parameters.
+        """
         if not adjustment.construction.size:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
@@ -165,17 +170,17 @@ class Proposal(ValueEquality):
 
     @property
     def distinguished(self) -> tuple[str, ...]:
-        """Explanations that would be told from the first."""
+        """Names of the explanations that would be distinguished from the first."""
         return tuple(name for name, value in self.evidence.items() if value >= DECISIVE)
 
     @property
     def decides(self) -> bool:
-        """All would be told from the first."""
+        """True if all would be distinguished from the first."""
         return bool(self.evidence) and len(self.distinguished) == len(self.evidence)
 
     @property
     def rank(self) -> tuple[int, int, float, float]:
-        """The smaller, the better: how many are told apart, then with how little effort, then how nearly."""
+        """Sort key, smaller is better: number of distinguished explanations, then effort, then evidence."""
         near = sum(min(value, DECISIVE) for value in self.evidence.values())
         if not self.distinguished:
             return 0, 0, 0.0, -near
@@ -188,13 +193,13 @@ class RankedProposals(ValueEquality):
 
     proposals: tuple[Proposal, ...]
     between: tuple[str, ...] = ()
-    """The explanations to decide between; none where the instrument was asked about."""
+    """Names of the explanations to distinguish; empty for information on the instrument."""
     evidence_now: dict[str, float] = field(default_factory=dict)
-    """Log evidence between the first and each other explanation in the recording without further pointings."""
+    """Chi-square difference between the first and each other explanation in the present recording."""
 
     @property
     def advice(self) -> str:
-        """The answer to what would decide, as a sentence; without a question the best thing to do."""
+        """Sentence on the deciding measurement, or on the most informative one without a question."""
         best = self.proposals[0]
         if not self.between:
             return best.remedy.words
@@ -249,10 +254,10 @@ def deciding(
     first_is_enough: bool = False,
     progress: Progress = quiet,
 ) -> RankedProposals:
-    """Rank remedies by the evidence that they bring between explanations of an adjusted recording, two or more.
+    """Ranking of remedies by the evidence that they give between two or more explanations of an adjusted recording.
 
-    Each is to be told from the first; those that the recording tells from it already are left aside. `extra_effects`
-    have been found already. With `first_is_enough` the first remedy that decides, the best of all, ends the search.
+    Each explanation is to be distinguished from the first; those already distinguished are ignored. `extra_effects` are
+    in the model. With `first_is_enough` the search ends at the first remedy that decides.
     """
     network, (first, *others) = Network.of(adjustment), explanations
     space = space_of(network.adjustment, extra_effects)
@@ -283,7 +288,7 @@ def _effort(remedy: Remedy) -> tuple[int, float]:
 
 
 def _finalists(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
-    """The further places that tell most about the instrument, the quickest first."""
+    """Additional stations with most information on the instrument, the quickest first."""
     remedies = (remedy for remedy in further_stations(network, seconds_per_move) if remedy.is_determined)
     proposals = [Proposal.of(remedy, network.adjustment) for remedy in remedies]
     best = sorted(proposals, key=lambda p: p.sharper)[:FINALISTS]

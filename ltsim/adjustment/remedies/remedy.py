@@ -1,7 +1,7 @@
-"""The list of further measurements: pointings, set-ups, another way of working, a known length, near reflectors.
+"""Possible additional measurements: pointings, set-ups, other procedures, a reference length, near reflectors.
 
-Calibration asks which of them determines a combination, diagnosis and planning which of them decides between
-explanations; all choose from this list.
+Calibration selects those that determine a combination of parameters, diagnosis and planning those that decide between
+explanations.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from ltsim.scene.visibility import SightLimits, visibility
 
 Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 EFFORT: tuple[Kind, ...] = get_args(Kind)
-"""Kinds of remedies, the one that asks least of a person first."""
+"""Kinds of remedies in the order of effort."""
 SET_UPS = ("return", "station")
 
 CLOSING = 3
-"""Targets measured again before leaving a station."""
+"""Number of targets that are measured again before a station is left."""
 ROUNDS, AGAIN = 4, 3
-"""Further rounds at the last station, and pointings at a target worth another look."""
+"""Number of additional rounds at the last station, and of pointings to a suspect target."""
 TURN = 90.0 * DEGREE
-"""Turn of the base at a place where an instrument has stood already."""
+"""Rotation of the base at a position that an instrument has already had."""
 RETURNS = 12
-"""Set-ups that are tried once more; of many, some evenly spread."""
+"""Largest number of set-ups that are tried again, distributed evenly."""
 GRID, TURNS = 5, 4
-"""Places along each side of the floor, and turns at each, that are tried for a further station."""
+"""Number of positions along each side of the floor, and of yaws at each, that are tried for an additional station."""
 CROWDED = 30
-"""Set-ups from which a further place for one more is not looked for: it is one among many."""
+"""Number of set-ups from which no additional one is tried."""
 CLEARANCE = 0.8
-"""[m] Smallest distance of a proposed station from other stations and targets, and of a proposed target."""
+"""Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
 BAR_LENGTH, BAR_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
-"""[m, mm, s] Length that a workshop can have calibrated, its standard deviation, and the time that it takes."""
+"""Length that a workshop can have calibrated [m], its standard deviation [mm], and the time [s] for it."""
 NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
 """Range [m], azimuth, elevation [rad] of near reflectors."""
 NEST = 300.0
-"""[s] Time to mount a nest."""
+"""Time [s] to mount a nest."""
 ADVICE = {
     # from the last station, before it is left
     "other face here": "measure all targets from {station} in the other face as well",
     "close here": "measure the first {count} targets of {station} again before leaving it",
     "reverse here": "measure all targets of {station} again in the reverse order",
     "look again": "measure {targets} from {station} {count} more times, without touching the reflector",
-    "to and fro": "measure all targets of {station} {count} more times, to and fro",
+    "to and fro": "measure all targets of {station} {count} more times, forward and backward",
     "unmeasured": "measure from {station} the targets it has not measured ({targets})",
     # a further set-up
     "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
@@ -70,42 +70,45 @@ ADVICE = {
     "other face and near": "measure in both faces, and add reflectors at 1 to 1.5 m from two stations",
     # what it brings
     "decided": "{do}: expected chi-square between {first} and {others} from {now} to {then}",
-    "left open": "; nothing that was tried tells it from {others} as well",
-    "undecided": "nothing that was tried tells {first} from {others} (expected chi-square {then}, {needed:.0f} would); "
+    "left open": "; no tested measurement also separates it from {others}",
+    "undecided": "no tested measurement separates {first} from {others} (chi-square {then}, {needed:.0f} needed); "
     "an independent measurement of the cause would",
     "cause": "an independent measurement of its cause",
     "determined": "{do} (gain {now:.2f} to {then:.2f})",
     "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
-    "not determined": "none of the measurements that were tried shows it; only a tighter guarantee would",
+    "not determined": "no tested measurement determines it; only a tighter specification does",
 }
-"""Every sentence of advice, once: what to do, and what it would bring."""
+"""Sentences of advice by kind of remedy: the action, and its benefit."""
 
 
 def advice(key: str, **values: object) -> str:
-    """A sentence of the table with its values."""
+    """Sentence of advice with its values."""
     return ADVICE[key].format(**values)
 
 
 def listed(names: list[str] | tuple[str, ...]) -> str:
-    """Names with `and`."""
+    """Names joined by commas and `and`."""
     return " and ".join(names)
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """A measurement that could be added."""
+    """Remedy: a measurement that could be added."""
 
     kind: Kind
     words: str
     """Instruction to the user."""
     seconds: float
-    """[s]."""
+    """Duration of the measurement [s]."""
     network: Network
-    """Network with the proposed measurement, as the adjusted network predicts it."""
+    """Network with the proposed measurement, with predicted readings."""
 
     @property
     def is_determined(self) -> bool:
-        """True if every pose is determined with the proposed measurement; a further set-up may see too few targets."""
+        """True if every pose is determined with the proposed measurement.
+
+        An additional set-up may see too few targets.
+        """
         try:
             _ = self.network.adjustment
         except NetworkError:
@@ -114,20 +117,20 @@ class Remedy:
 
     @property
     def set_up(self) -> tuple[Floats, float] | None:
-        """Place (3,) [m] and turn [rad] of a further set-up, on the floor plan."""
+        """Position (3,) [m] and yaw [rad] of an additional set-up, on the floor plan; None for another remedy."""
         state, plan = self.network.state, FloorPlan.of(self.network.recording, self.network.state)
         return (plan.place(state.position[-1]), plan.yaw(state.rotation[-1])) if self.kind in SET_UPS else None
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Transformation from the frame of the network to the floor plan's; the identity without a plan.
+    """Transformation from the network frame to the floor plan; the identity without a plan.
 
-    Plans are rough, levels are not: only a turn about the vertical is taken from the plan.
+    Plans are approximate, but levels are accurate: only the rotation about the vertical follows from the plan.
     """
 
     rotation: Floats
-    """(3, 3) (3,)."""
+    """Rotation (3, 3) and translation (3,) [m]."""
     translation: Floats
     on_plan: bool
 
@@ -138,7 +141,7 @@ class FloorPlan:
 
     @classmethod
     def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
-        """Floor plan from the positions, or also directions of zero, of stations in a set-up."""
+        """Floor plan from the positions (and directions of azimuth zero) of stations in a set-up."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
         placed = [i for i, station in setups.items() if station.position_mm is not None]
         if not placed:
@@ -159,13 +162,13 @@ class FloorPlan:
         return position @ self.rotation.T + self.translation
 
     def yaw(self, rotation: Floats) -> float:
-        """Turn [rad] on the plan of an instrument's rotation (3, 3)."""
+        """Yaw [rad] on the plan of an instrument with rotation (3, 3)."""
         turned = self.rotation @ rotation
         return float(np.arctan2(turned[1, 0], turned[0, 0]))
 
 
 def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterator[Remedy]:
-    """Remedies from the last station before it is dismantled; `suspects` are targets worth another measurement."""
+    """Remedies at the last station before it is dismantled; `suspects` are targets that should be measured again."""
     recording = network.recording
     last = int(recording.station[np.argmax(recording.time)])
     station, here = recording.stations[last], _visit(recording, last)
@@ -194,7 +197,7 @@ def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterato
 
 
 def returns(network: Network, seconds_per_move: float, stations: Iterable[int] | None = None) -> Iterator[Remedy]:
-    """Each place of an instrument once more, its base turned, for the targets that it saw."""
+    """Remedies with another set-up at each position of an instrument, with rotated base, for the same targets."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
     chosen = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
@@ -207,7 +210,7 @@ def returns(network: Network, seconds_per_move: float, stations: Iterable[int] |
 
 
 def further_stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
-    """A further station on a grid between and around the others, with some turns, for the targets in sight."""
+    """Remedies with an additional station on a grid between and around the others, with several yaws."""
     recording, state = network.recording, network.state
     if len(recording.stations) >= CROWDED:
         return
@@ -233,7 +236,7 @@ def further_stations(network: Network, seconds_per_move: float) -> Iterator[Reme
 
 
 def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_move: float) -> Remedy:
-    """Targets measured from a further set-up, the last of a network."""
+    """Remedy with targets measured from an additional set-up, the last one of a network."""
     recording, faces = grown.recording, np.unique(grown.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start = float(recording.time.max()) + seconds_per_move
@@ -242,7 +245,7 @@ def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_mo
 
 
 def other_ways(network: Network) -> Iterator[Remedy]:
-    """The whole work with something more at each station: both faces first, where one is used, then another order."""
+    """Remedies with a changed procedure at all stations: both faces if one is used, then another order."""
     recording = network.recording
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
     for key in ("other face", "close", "reverse"):
@@ -258,7 +261,7 @@ def other_ways(network: Network) -> Iterator[Remedy]:
 
 
 def _more(recording: Recording, rows: Ints, key: str) -> list[tuple[int, int]]:
-    """Target and face of the further pointings of a visit that another way of working makes."""
+    """Target and face of the additional pointings of a visit under another procedure."""
     made = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
     if key == "other face":
         return sorted({(t, 3 - f) for t, f in made} - set(made))
@@ -268,13 +271,13 @@ def _more(recording: Recording, rows: Ints, key: str) -> list[tuple[int, int]]:
 
 
 def other_face(network: Network) -> Remedy | None:
-    """Both faces at each station; None where they are used already."""
+    """Remedy with both faces at each station; None if they are already used."""
     first = next(other_ways(network), None)
     return first if first and first.words == advice("other face") else None
 
 
 def calibrated_length(network: Network) -> Iterator[Remedy]:
-    """The pair of targets nearest to 2 m apart, with that length known."""
+    """Remedy with a calibrated length between the pair of targets with a distance nearest to 2 m."""
     points, names = network.state.points, network.recording.targets
     if len(points) < 2:
         return
@@ -286,7 +289,7 @@ def calibrated_length(network: Network) -> Iterator[Remedy]:
 
 
 def near_reflectors(network: Network) -> Iterator[Remedy]:
-    """Four reflectors near each of the first two stations, seen from all stations; with the other face as well."""
+    """Remedies with four reflectors near each of the first two stations, measured from all stations."""
     both = other_face(network)
     for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
         recording, state = start.recording, start.state
@@ -307,10 +310,10 @@ def _visit(recording: Recording, station: int) -> Ints:
 
 
 def _first_visits(target: Ints) -> Ints:
-    """Each target once, in the order in which they come."""
+    """Distinct targets in the order of their first pointings."""
     return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
 
 
 def _fresh(recording: Recording) -> str:
-    """A name that no set-up has."""
+    """Name that no set-up has."""
     return next(f"S{i}" for i in range(1, len(recording.stations) + 2) if f"S{i}" not in recording.stations)

@@ -1,8 +1,8 @@
-"""Combinations of parameters that a recording does not determine, and further measurements that would.
+"""Combinations of parameters that a recording does not determine, and additional measurements that would.
 
-In units of the prior sigmas the parameters' covariance has eigenvalues between 0 and 1: one minus an eigenvalue is
-the gain, the share of the prior variance along that combination which the readings removed. A combination with a
-gain under one half is called undetermined: it was known better before than the readings alone would tell it.
+In units of the prior sigmas the parameters' covariance has eigenvalues between 0 and 1: one minus an eigenvalue is the
+gain, the fraction of the prior variance along that combination that the readings removed. A combination with a gain
+below one half is called undetermined: its prior is more precise than the readings alone.
 """
 
 from collections.abc import Sequence
@@ -19,18 +19,18 @@ from ltsim.core.errors import NetworkError
 from ltsim.physics.model.construction import Construction
 
 DETERMINED = 0.5
-"""Least gain of a determined combination."""
+"""Smallest gain of a determined combination."""
 UNINFORMATIVE = 0.01
-"""Combinations with less gain than this are alike: any rotation among them is as good, a simple one is shown."""
+"""Gain below which combinations count as equally undetermined, so that simple rotations of them are reported."""
 SHOWN = 0.1
-"""Smallest coefficient that is named."""
+"""Smallest coefficient of a combination that is reported."""
 MATERIAL = 0.05
-"""Least rise of a gain that is worth a measurement."""
+"""Smallest increase of a gain that is worth a measurement."""
 
 
 @dataclass(frozen=True)
 class Direction:
-    """A unit vector (p,) in units of the prior sigmas, and its gain."""
+    """Combination of parameters: a unit vector (p,) in prior sigmas, and its gain."""
 
     vector: Floats
     gain: float
@@ -43,16 +43,19 @@ class Direction:
 
 
 def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Gains (p,), 1 less posterior over prior variance, ascending; their combinations (p, p) in prior sigmas."""
+    """Gains (p,) in ascending order, and their combinations (p, p) in prior sigmas.
+
+    A gain is 1 minus the posterior variance over the prior variance.
+    """
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     remaining, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     return np.clip(1.0 - remaining[::-1], 0.0, 1.0), vectors[:, ::-1]
 
 
 def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
-    """Combinations with a gain under one half, the least known first.
+    """Combinations with a gain below one half, the least determined first.
 
-    `covariance` (p, p) is that after the adjustment, priors included.
+    `covariance` (p, p) is the posterior covariance.
     """
     gain, vectors = gains(covariance, prior_sigma)
     silent = gain < UNINFORMATIVE
@@ -64,7 +67,7 @@ def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
 
 
 def simple_rotation(vectors: Floats, steps: int = 200) -> Floats:
-    """Orthonormal columns rotated among themselves so that each holds few large coefficients.
+    """Orthonormal columns rotated among themselves so that each has few large coefficients.
 
     References
     ----------
@@ -91,8 +94,8 @@ def determining(
 ) -> list[list[str]]:
     """Sentences per instrument: for each undetermined direction, the measurement that determines it.
 
-    The first remedy that lifts a gain above one half is named, else the one that lifts it most. `construction` is the
-    one whose parameters are meant; `directions` has one sequence an instrument.
+    It is the first remedy that increases the gain above one half, or the one with the largest increase. `construction`
+    has the parameters of the directions; `directions` has one sequence per instrument.
     """
     if not any(directions):
         return [[] for _ in directions]
@@ -108,7 +111,7 @@ def determining(
 
 
 def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) -> list[list[float]]:
-    """Gain along each direction of each instrument in a network; none in one too poor to be solved."""
+    """Gain along each direction of each instrument in a network; empty for an undetermined network."""
     try:
         covariance, prior = network.parameter_covariance()
     except NetworkError:
@@ -120,7 +123,10 @@ def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) ->
 
 
 def _sentence(direction: Direction, now: float, tried: Sequence[tuple[str, float]]) -> str:
-    """Sentence on what determines one direction: `tried` are remedies with their gains, `now` the gain without them."""
+    """Sentence on the measurement that determines one direction.
+
+    `tried` are remedies with their gains, `now` is the present gain.
+    """
     if now >= DETERMINED > direction.gain:
         return advice("determined already", then=now)
     enough = [pair for pair in tried if pair[1] >= DETERMINED]

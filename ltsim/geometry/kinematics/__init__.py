@@ -1,1 +1,1 @@
-"""Kinematic chains: how a tracker turns readings into a point. One construction a file."""
+"""Kinematic chains that turn the readings of a tracker into a point, one construction per file."""

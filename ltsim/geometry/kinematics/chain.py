@@ -1,10 +1,9 @@
 """Kinematic chains: a tracker as a sequence of elementary motions, exact, with exact derivatives.
 
-A chain is a literal list read from the base outwards: turn about z by the azimuth, shift along x by the
-transit offset, ... The target sits at the origin of the last frame. Errors enter as an amount added to a
-motion's nominal amount; the motion's `slot` is the name under which they are added. The derivative of the
-point by any slot is the axis carried into the base frame (a translation) or crossed with the lever arm behind
-it (a rotation).
+A chain is a list of motions from the base outwards: a turn about z by the azimuth, a shift along x by the transit
+offset, and so on. The target sits at the origin of the last frame. Errors enter as an amount added to a motion's
+nominal amount; the motion's `slot` is the name under which they are added. The derivative of the point with respect to
+a slot is the axis in the base frame (translation), or its cross product with the lever arm behind it (rotation).
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +19,7 @@ Nominal = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Turn:
-    """Rotation about a coordinate axis (0, 1, 2) by ``nominal(raw) + error[slot]`` [rad]."""
+    """Rotation by the angle ``nominal(raw) + error[slot]`` [rad] about a coordinate axis (0, 1, 2)."""
 
     axis: int
     slot: str = ""
@@ -30,7 +29,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class Shift:
-    """Translation along a coordinate axis (0, 1, 2) by ``nominal(raw) + error[slot]`` [m]."""
+    """Translation by the length ``nominal(raw) + error[slot]`` [m] along a coordinate axis (0, 1, 2)."""
 
     axis: int
     slot: str = ""
@@ -44,24 +43,24 @@ Chain = tuple[Motion, ...]
 
 @dataclass(frozen=True)
 class Constant:
-    """A nominal amount that does not depend on the readings."""
+    """Nominal amount of a motion that does not depend on the readings."""
 
     value: float
 
     def __call__(self, raw: Floats) -> Floats:
-        """(n,) of raw readings (n, 3)."""
+        """The constant amount (n,) for raw readings (n, 3)."""
         return np.full(len(raw), self.value)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A nominal amount that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
+    """Nominal amount of a motion that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
 
     column: int
     offset: float = 0.0
 
     def __call__(self, raw: Floats) -> Floats:
-        """(n,) of raw readings (n, 3)."""
+        """The selected reading plus `offset`, (n,), of raw readings (n, 3)."""
         return raw[:, self.column] + self.offset
 
 
@@ -74,7 +73,7 @@ def _amount(motion: Motion, raw: Floats, errors: Mapping[str, Floats]) -> Floats
 
 
 def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
-    """Turn vectors (..., n, 3) about a coordinate axis by angles (n,), in place."""
+    """Rotation in place of vectors (..., n, 3) about a coordinate axis by angles (n,)."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
     for v in vectors:
@@ -82,7 +81,10 @@ def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
 
 
 def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
-    """Point (n, 3) [m] that raw readings (n, 3) describe; `errors` gives amounts (n,), or one for all, by slot."""
+    """Point (n, 3) [m] of raw readings (n, 3).
+
+    `errors` gives the error of each slot, as an array (n,) or one number.
+    """
     p: list[Any] = [0.0, 0.0, 0.0]  # coordinates apart from each other, whose arrays are contiguous
     for motion in reversed(chain):
         amount = _amount(motion, raw, errors)
@@ -102,10 +104,10 @@ def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
 def point_and_derivatives(
     chain: Chain, raw: Floats, errors: Mapping[str, Floats], slots: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Point (n, 3) and its derivative (n, 3) by the amount of each wanted slot.
+    """Point (n, 3) [m] of raw readings, and its derivative (n, 3) with respect to each slot in `slots`.
 
-    Walks from the target inwards, carrying point and derivatives through every motion: all are vectors of the
-    current frame, so a turn turns them all, and a shift moves the point alone.
+    The computation starts at the target and applies the motions towards the base. Point and derivatives are vectors of
+    the current frame: a turn rotates all of them, a shift moves the point alone.
     """
     p = np.zeros((len(raw), 3))
     carried, count = np.zeros((len(chain), len(raw), 3)), 0

@@ -4,19 +4,19 @@
     E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2; theta_RZ there is our eZ)
     E_Trans = T(dX, dY, dZ) (I + [e]_x)                                   (eq. 5)
 
-As printed, E follows the whole A: frame 1 has y along the standing axis and z along the transit axis, so the
-azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do
-not fit these frames. E_Trans stands last and acts on a point: its rotation does nothing; it is kept, so that
-the count of 78 can be seen.
+In the printed form E follows the complete A: frame 1 has y along the standing axis and z along the transit axis, so the
+azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do not fit
+these frames. E_Trans is last and acts on a point, so that its rotation has no effect; it is included so that the 78
+coefficients of the paper are complete.
 
-Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn
-the point about itself (9). Of these, 53 differ even where stations and targets are known; the others are
-second names: J1.dZ_c = J2.dY_c = T.dX_0 (lateral beam offset), J2.dX_c = T.dY_0 (vertical beam offset),
-J2.dZ_c = T.dZ_0 (range zero), J2.eX_c = T.dX_1 (beam tilt), J1.eZ_c = J2.eY_c = T.dY_1 (vertical index), J1.eX_c
-and J2.eX_sin (transit tilt), J1.eY_c and J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit
-offset), J1.dY_c with J2.dZ_sin and J2.dX_cos (height of the transit axis). The pose of each station takes 6 more
-(height, yaw, one pair of first harmonics each of place and tilt), which leaves 47; the range scale T.dZ_1 is the
-scale of the network where no length is known, which leaves 46. `tests/physics/model/test_dh_count.py` counts them.
+Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn the point
+about itself (9). Of these, 53 differ even where stations and targets are known; the others repeat them: J1.dZ_c =
+J2.dY_c = T.dX_0 (lateral beam offset), J2.dX_c = T.dY_0 (vertical beam offset), J2.dZ_c = T.dZ_0 (range zero), J2.eX_c
+= T.dX_1 (beam tilt), J1.eZ_c = J2.eY_c = T.dY_1 (vertical index), J1.eX_c and J2.eX_sin (transit tilt), J1.eY_c and
+J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit offset), J1.dY_c with J2.dZ_sin and J2.dX_cos
+(height of the transit axis). The pose of each station takes 6 more (height, yaw, one pair of first harmonics each of
+place and tilt), which leaves 47; the range scale T.dZ_1 is the scale of the network where no length is known, which
+leaves 46. `tests/physics/model/test_dh_count.py` counts them.
 
 The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use
 one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
@@ -30,7 +30,7 @@ QUARTER = math.pi / 2
 
 
 def error_motions(joint: str) -> tuple[Motion, ...]:
-    """E_Rot of a rotary joint as elementary motions, slots ``J1.dX`` ... ``J1.eZ``."""
+    """Error matrix E_Rot of a rotary joint as elementary motions with slots ``J1.dX`` ... ``J1.eZ``."""
     shifts = tuple(Shift(i, f"{joint}.d{axis}") for i, axis in enumerate("XYZ"))
     turns = tuple(Turn(i, f"{joint}.e{axis}") for i, axis in enumerate("XYZ"))
     return shifts + turns

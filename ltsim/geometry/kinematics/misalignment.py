@@ -1,4 +1,4 @@
-"""The geometric-misalignment tracker with the source in the rotating head.
+"""Geometric-misalignment model of a tracker whose source is in the rotating head.
 
 Source: Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, the model family of ASME B89.4.19; written here
 in the exact form (not the first-order one), from the base outwards:
@@ -6,8 +6,8 @@ in the exact form (not the first-order one), from the base outwards:
     p = Rz(azimuth_t) { [tau, 0, 0] + Rx(kappa) [ Ry(-elevation_t) ( [0, b_y, b_z] + range_t * u ) ] }
     u = (cos c, sin c, 0)
 
-Signs: every slot is a correction, added to the raw reading or to the nominal zero (truth - reading). Raw
-face-2 readings go in as they are; the face signs then come out by themselves.
+Signs: every slot is a correction, added to the raw reading or to the nominal zero (truth - reading). Raw face-2
+readings are used unchanged; the signs of the two faces follow from the geometry.
 """
 
 from ltsim.geometry.kinematics.chain import Chain, Reading, Shift, Turn

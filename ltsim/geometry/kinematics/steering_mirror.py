@@ -1,4 +1,4 @@
-"""The tracker with a beam-steering mirror: the source is fixed in the base, a mirror turns at half the beam's rate.
+"""Model of a tracker with a beam-steering mirror: fixed source, mirror that turns at half the rate of the beam.
 
 The beam leaves the base upward along the standing axis and meets a plane mirror that turns with the head about the
 transit axis. With V the zenith angle of the target the mirror's normal points V/2 below the horizon, and the

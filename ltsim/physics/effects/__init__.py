@@ -1,4 +1,4 @@
-"""The catalogue: one physical effect, one small file. To add one, write its file and list its name in its group."""
+"""Catalogue of physical effects, one small module each. A new effect needs a module and an entry in its group."""
 
 from importlib import import_module
 
@@ -29,11 +29,11 @@ FILES = {
     "system and gross": "station-levelling timing-lag station-bump target-swap outlier wrong-unit face-confusion",
     "noise": "noise-level station-noise",
 }
-"""Built-in effects by group: the effect `beam-tilt` is the class of this name in `beam_tilt.py`."""
+"""Names of the built-in effects by group; the effect `beam-tilt` is the class `BeamTilt` in `beam_tilt.py`."""
 
 
 def _shipped(name: str) -> type[Effect]:
-    """The effect in the file that is called after it."""
+    """Class of a built-in effect, from the module with its name."""
     held = vars(import_module(f"{__name__}.{name.replace('-', '_')}")).values()
     return next(kind for kind in held if isinstance(kind, type) and vars(kind).get("name") == name)
 
@@ -42,13 +42,13 @@ GROUPS = {group: tuple(map(_shipped, names.split())) for group, names in FILES.i
 """Classes of the built-in effects by group, in the order of the files."""
 
 CATALOGUE = Catalogue(GROUPS)
-"""Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""
+"""Catalogue of all effects: built-in ones, then those of installed packages (see `effects.catalogue`)."""
 
 find_effect = CATALOGUE.find
 
 
 def title_of(name: str) -> str:
-    """Title of an effect for the middle of a sentence; a name that no catalogue has without its hyphens."""
+    """Title of an effect for the middle of a sentence; for an unknown name, the name without hyphens."""
     try:
         title = card_of(find_effect(name)).title
     except ModelError:
@@ -61,4 +61,6 @@ _ORDINARY = (
     "azimuth-second-order elevation-eccentricity elevation-second-order"
 )
 BASELINE = tuple(effect for name in _ORDINARY.split() if isinstance(effect := find_effect(name)(), SlotEffect))
-"""The ordinary calibration: the 16 parameters of the geometric-misalignment model with range zero and scale."""
+"""Effects of the ordinary calibration: the 16 parameters of the geometric-misalignment model, including range zero and
+scale.
+"""

@@ -1,9 +1,9 @@
-"""Errors of the readings by the air along the beams that was not measured; budgets include them where ranges are long.
+"""Errors of readings from unmeasured properties of the air along the beams, included in budgets for long ranges.
 
-Three causes, each a catalogue effect: another temperature along the beams of a station (`station-weather`: 0.95 ppm/K
-of a range), a vertical gradient there (`air-gradient`: light bends by beta G d^2 / 2) and turbulence (`turbulence`: a
-variance of C d^3 across the beam). At 10 m the sizes of `Air` are 5 um along and 11 um across the beam, at 40 m 19 um
-and 110 um, under what makers guarantee across the beam there (15 um + 6 um/m).
+There are three causes, each a catalogue effect: a temperature along the beams that differs from the measured one
+(`station-weather`: 0.95 ppm/K of a range), a vertical gradient there (`air-gradient`: light bends by beta G d^2 / 2)
+and turbulence (`turbulence`: a variance of C d^3 across the beam). At 10 m the sizes of `Air` are 5 um along and 11 um
+across the beam, at 40 m 19 um and 110 um, less than manufacturers' limits across the beam there (15 um + 6 um/m).
 """
 
 import numpy as np
@@ -25,13 +25,13 @@ def air_errors(air: Air, sightings: Sightings) -> Floats:
 
 
 def turbulence_variance(air: Air, sightings: Sightings) -> Floats:
-    """Variance (n, 3) that turbulence adds to the readings."""
+    """Variance (n, 3) of the readings due to turbulence."""
     size = np.array([air.turbulence_um2_per_m3 * MICROMETRE**2, 0.0])
     return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), size)
 
 
 def across_beam(air: Air, range_: float) -> float:
-    """Standard deviation [m] across the beam at a range [m]."""
+    """Standard deviation [m] perpendicular to the beam at a range [m]."""
     bent = 0.5 * bending() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
@@ -42,7 +42,7 @@ def along_beam(air: Air, range_: float) -> float:
 
 
 def air_words(air: Air, longest: float) -> str:
-    """The standard deviations, and the errors that they make at the longest range [m]."""
+    """Text of the standard deviations of the air, and of the errors that they cause at the longest range [m]."""
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
         f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "

@@ -11,7 +11,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class AirGradient(WarmAir):
-    """Uniform vertical gradient of the air's temperature: the air is warmer the higher it lies, and light bends.
+    """Uniform vertical gradient of the air's temperature: warm air lies above cool air, and refraction bends the beam.
 
     Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
     z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT. The two together are a conformal map of empty space, so
@@ -39,11 +39,11 @@ class AirGradient(WarmAir):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """A weather sensor in the room, and one on the head."""
+        """Candidates with a weather sensor in the room, and with one on the head."""
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:
-        """Height at which the used temperature is right, (n,) [m]."""
+        """Height (n,) [m] of the weather sensor, for which the temperature used is correct."""
         if self.sensor == "head":
             return sightings.position[sightings.station, 2]
         return np.full(len(sightings), float(sightings.points[:, 2].mean()))
@@ -61,7 +61,7 @@ class AirGradient(WarmAir):
         return column[:, :, None]
 
     def field(self, sightings: Sightings) -> AirField:
-        """The field of a gradient of one kelvin a metre."""
+        """Temperature field with a gradient of 1 K/m."""
         bottom = self._sensor_height(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:

@@ -13,13 +13,13 @@ WIDTHS = (0.15, 0.5)
 
 
 def _ends(sightings: Sightings) -> Floats:
-    """Heights [m] of all targets and stations in the network frame."""
+    """Heights (T + S,) [m] of all targets and stations in the network frame."""
     return np.concatenate([sightings.points[:, 2], sightings.position[:, 2]])
 
 
 @dataclass(frozen=True)
 class AirLayer(WarmAir):
-    """Layered room: a warm layer lies under the roof.
+    """Layered air: a warm layer lies under the roof.
 
     T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the
     station, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds, s = 0 to d. Only
@@ -41,7 +41,7 @@ class AirLayer(WarmAir):
     name = "air-layer"
     stage = Stage.AIR
     covariates = ("height",)
-    parameters = (Parameter("layer-step", "K", "how much warmer the layer is than the air below", 4.0),)
+    parameters = (Parameter("layer-step", "K", "temperature difference of the layer to the air below", 4.0),)
     shape = (
         ShapeParameter("height", "m", "middle of the step above the lowest target or station", 0.0, 40.0, steps=41),
         ShapeParameter("width", "m", "width of the step", 0.05, 1.5, logarithmic=True, steps=3),
@@ -49,12 +49,12 @@ class AirLayer(WarmAir):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Heights between the lowest and the highest target or station."""
+        """Candidates with heights between the lowest and the highest target or station."""
         heights = np.linspace(0.0, float(np.ptp(_ends(sightings))), HEIGHTS + 2)[1:-1]
         return [cls(height=float(z), width=w) for z in heights for w in WIDTHS]
 
     def field(self, sightings: Sightings) -> AirField:
-        """The step of one kelvin above the lowest target or station."""
+        """Temperature field with a step of 1 K above the lowest target or station."""
         from scipy.special import expit
 
         floor = float(_ends(sightings).min(initial=np.inf))

@@ -4,7 +4,7 @@ from ltsim.physics.effects.places import Drift
 
 
 class AzimuthDrift(Drift):
-    """Drift of the azimuth zero: the base or the tripod's head turns, the circle warms.
+    """Drift of the azimuth zero: the base or the tripod head rotates, or the circle warms up.
 
     Correction of the azimuth = r t (in every visit, or in one) or A exp(-t / tau). The station's yaw takes the mean, so
     only the change within a visit is seen: a linear drift over the recording and one in every visit are the same.
@@ -23,7 +23,7 @@ class AzimuthDrift(Drift):
     observables = ("azimuth",)
     slot = "azimuth"
     rate = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * FACTOR["urad/h"])
-    amplitude = Parameter("azimuth-drift-amplitude", "urad", "correction at the start, dying away", 20 * MICRORADIAN)
+    amplitude = Parameter("azimuth-drift-amplitude", "urad", "correction at the start, decaying", 20 * MICRORADIAN)
     parameters = (rate,)
 
     laws = ("visit",)

@@ -4,7 +4,7 @@ from ltsim.physics.effects.effect import SlotEffect, Stage
 
 
 class AzimuthEccentricity(SlotEffect):
-    """Eccentricity of the azimuth circle: the circle turns off its centre, one lobe a turn.
+    """Eccentricity of the azimuth circle: the circle rotates off its centre, one period per turn.
 
     Delta_azimuth = A1 cos(x) + B1 sin(x), x the raw azimuth; the amplitude is the eccentricity over the circle's
     radius. Odd, so it flips with the face.

@@ -4,7 +4,7 @@ from ltsim.physics.effects.effect import Stage
 
 
 class AzimuthHarmonic(Harmonic):
-    """Higher graduation harmonic of the azimuth circle: lines of the scale are off, as its read heads see them.
+    """Higher graduation harmonic of the azimuth circle: errors of the scale as averaged by its read heads.
 
     Delta_azimuth = A cos(m x) + B sin(m x), x the raw azimuth, m from 3 up. Odd m flips with the face, even m does not;
     of several read heads, orders that are multiples of their number survive.

@@ -4,7 +4,7 @@ from ltsim.physics.effects.effect import SlotEffect, Stage
 
 
 class AzimuthSecondOrder(SlotEffect):
-    """Two-lobe error of the azimuth circle: the scale is stretched and squeezed twice a turn.
+    """Second-order error of the azimuth circle: the scale is stretched and compressed twice per turn.
 
     Delta_azimuth = A2 cos(2 x) + B2 sin(2 x), x the raw azimuth: the same on both faces, so two-face tests see nothing;
     horizontal lengths breathe with the azimuth, with a period of half a turn.

@@ -7,7 +7,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class Backlash(Effect):
-    """Backlash: what an axis reads depends on the side it came from (hysteresis).
+    """Backlash: the reading of an axis depends on the direction of its last motion (hysteresis).
 
     Correction of the raw angle = -h/2 sgn(last move of that axis), on either axis. The last move is that between two
     pointings of a station in the order of the work; the first pointing of a station has none.

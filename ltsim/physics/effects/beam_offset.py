@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 class BeamOffset(SlotEffect):
-    """Beam offset: the beam passes beside the point where the axes meet.
+    """Beam offset: the beam does not pass through the intersection of the axes.
 
     D_t = f b_y and D_v = f b_z: constant lengths across the beam, so the angles fall as 1/d, strongest on the nearest
     targets; both flip with the face.

@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 class BeamTilt(SlotEffect):
-    """Beam tilt: the beam is not square to the transit axis (horizontal collimation).
+    """Beam tilt: the beam is not perpendicular to the transit axis (horizontal collimation error).
 
     Delta_azimuth = f c / cos(el), a lateral shift f c d proportional to the range; no dependence on the azimuth,
     steepest for targets high above or below; flips with the face.

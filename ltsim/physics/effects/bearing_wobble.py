@@ -24,7 +24,7 @@ TRIED: tuple[tuple[Motion, int], ...] = (
 
 @dataclass(frozen=True)
 class BearingWobble(Effect):
-    """Bearing error motion: the standing axis wobbles or runs out as it turns, the transit axis wobbles as it tips.
+    """Bearing error motion: tilt or run-out of the standing axis as it turns, tilt of the transit axis as it tips.
 
     tilt, order n: w_x + i w_y = (A + i B) exp(i n x), x the raw azimuth, in the base frame;
         Delta_elevation = w_x sin(az) - w_y cos(az), Delta_azimuth = -tan(el) (w_x cos(az) + w_y sin(az)).
@@ -70,7 +70,7 @@ class BearingWobble(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """The motions that are no station tilt and no other effect."""
+        """Candidates for all motions that are neither a station tilt nor another effect."""
         return [cls(kind=kind, order=order) for kind, order in TRIED]
 
     def design(self, sightings: Sightings) -> Floats:

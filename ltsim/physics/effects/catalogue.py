@@ -1,11 +1,11 @@
-"""The catalogue of effects: what ships with ltsim, then what installed packages add; and the card of each.
+"""Catalogue of effects, built-in and from installed packages, and the description (card) of each.
 
 A package adds effects by entry points of the group `ltsim.effects`, each naming a class:
 
     [project.entry-points."ltsim.effects"]
     cable-drag = "my_package.cable_drag:CableDrag"
 
-They are looked for when the catalogue is first read beyond what ships, not when ltsim is imported.
+Packages are searched when the catalogue is first read beyond the built-in effects, not when ltsim is imported.
 
 A card is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause; then
 come the law, with its sign, and a paragraph for each of `PARTS`.
@@ -28,7 +28,7 @@ GROUP = "ltsim.effects"
 SHIPPED = "ltsim"
 SESSION = "this session"
 ADDED = "installed"
-"""The group of effects that packages add."""
+"""Group of the effects from installed packages."""
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 PARTS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
 """Parts of a catalogue entry: sizes in a good and in a bad instrument or room; effects that leave similar residuals,
@@ -44,15 +44,18 @@ class Card:
 
     title: str
     cause: str
-    """Name of the cause (`title`), and description of what happens (`cause`)."""
+    """Name (`title`) and description (`cause`) of the physical cause."""
     law: str
-    """The equation with its sign, in lines as they are written; often with what gives it away."""
+    """Equation of the effect with its sign, line by line as in the docstring."""
     texts: tuple[str, ...]
-    """The texts of `PARTS`."""
+    """Texts of the sections in `PARTS`, in that order."""
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """The card in a docstring; raises ModelError, naming the part that is missing, given twice or out of order."""
+        """Card parsed from a docstring.
+
+        Raises ModelError that names a part that is missing, repeated or out of order.
+        """
         head, _, rest = inspect.cleandoc(text).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
@@ -68,13 +71,13 @@ class Card:
         return cls(title, cause, law, tuple(" ".join(part.split()) for part in sections))
 
     def parts(self) -> tuple[tuple[str, str], ...]:
-        """(name, text) of the parts after the law."""
+        """Pairs (name, text) of the parts after the law."""
         return tuple(zip(PARTS, self.texts, strict=True))
 
 
 @cache
 def card_of(kind: type) -> Card:
-    """The card of an effect; raises ModelError when neither the class nor its file has one that is complete."""
+    """Card of an effect class; raises ModelError if neither the class nor its module has a complete one."""
     doc = kind.__dict__.get("__doc__") or ""
     text = doc if _PART.search(inspect.cleandoc(doc)) else sys.modules[kind.__module__].__doc__
     try:
@@ -85,7 +88,7 @@ def card_of(kind: type) -> Card:
 
 @dataclass(frozen=True)
 class Listed:
-    """An effect of the catalogue, the group it stands in, and the package it comes from."""
+    """Effect of the catalogue with its group and the package that provides it."""
 
     kind: type[Effect]
     group: str
@@ -93,15 +96,15 @@ class Listed:
 
 
 def installed() -> list[EntryPoint]:
-    """Entry points that name effects; a package that is found twice on the path counts once."""
+    """Entry points that provide effects; a package that occurs twice on the path counts once."""
     points = {(_package(point), point.name, point.value): point for point in entry_points(group=GROUP)}
     return [points[key] for key in sorted(points)]
 
 
 class Catalogue(Sequence[type[Effect]]):
-    """Every effect: those of `shipped` in their order, then the added ones in the order of their names.
+    """Catalogue of all effects: `shipped` ones in their order, then added ones in the order of their names.
 
-    `shipped` are effects by group, `points` gives the entry points of packages.
+    `shipped` are the built-in effects by group; `points` returns the entry points of packages.
     """
 
     def __init__(
@@ -114,7 +117,7 @@ class Catalogue(Sequence[type[Effect]]):
 
     @cached_property
     def entries(self) -> Mapping[str, Listed]:
-        """All effects by name; raises ModelError when a package's effect cannot be used: which package, and why."""
+        """All effects by name; raises ModelError, with package and reason, for an unusable effect of a package."""
         added: dict[str, Listed] = {}
         for point in self._points():
             entry = _loaded(point)
@@ -125,9 +128,9 @@ class Catalogue(Sequence[type[Effect]]):
         return self._shipped | {name: added[name] for name in sorted(added)}
 
     def add(self, kind: type[Effect]) -> type[Effect]:
-        """Add a class for the rest of this session, in place of one of the same name that was added before.
+        """Registration of an effect class for this session; it replaces an earlier one of the same name.
 
-        A class without a card is given one that states nothing. Raises ModelError when it cannot be an effect.
+        A class without a card gets an empty one. Raises ModelError if the class is no valid effect.
         """
         if why := fault_of(kind):
             raise ModelError(f"{kind!r} cannot be an effect: {why}")
@@ -138,18 +141,18 @@ class Catalogue(Sequence[type[Effect]]):
             card_of(kind)
         except ModelError:
             title = kind.name.replace("-", " ").capitalize()
-            parts = "\n\n".join(f"{part}: not stated." for part in PARTS)
-            kind.__doc__ = f"{title}: an effect of this session.\n\nnot stated\n\n{parts}\n"
+            parts = "\n\n".join(f"{part}: not given." for part in PARTS)
+            kind.__doc__ = f"{title}: an effect of this session.\n\nnot given\n\n{parts}\n"
         self.__dict__["entries"] = {**self.entries, kind.name: Listed(kind, SESSION, SESSION)}
         return kind
 
     @property
     def of_session(self) -> tuple[type[Effect], ...]:
-        """Classes that were added in this session: other processes do not know them."""
+        """Effect classes that were registered in this session; other processes do not have them."""
         return tuple(entry.kind for entry in self.entries.values() if entry.group == SESSION)
 
     def find(self, name: str) -> type[Effect]:
-        """The effect called `name`; raises ModelError when there is none; the message names the closest ones."""
+        """Class of the effect `name`; raises ModelError with the most similar names for an unknown one."""
         entry = self._shipped.get(name) or self.entries.get(name)
         if entry is None:
             raise unknown_name("effect", name, self.entries)
@@ -171,7 +174,7 @@ def _package(point: EntryPoint) -> str:
 
 def _refused(point: EntryPoint, why: str) -> ModelError:
     place = f"{point.value} of {_package(point)}"
-    return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; mend or uninstall that package")
+    return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; repair or uninstall that package")
 
 
 def _loaded(point: EntryPoint) -> Listed:
@@ -189,9 +192,9 @@ def _loaded(point: EntryPoint) -> Listed:
 
 
 def fault_of(kind: object) -> str:
-    """Reason for which a class is no valid effect; empty for a valid one."""
+    """Reason why a class is no valid effect; empty for a valid one."""
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
-        return "it is no class derived from lt.Effect"
+        return "it is not a class derived from lt.Effect"
     if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
         return f"its class lacks {', '.join(lacking)}"
     if not NAME.fullmatch(getattr(kind, "name", "")) or kind.name == "unknown":
@@ -200,5 +203,5 @@ def fault_of(kind: object) -> str:
         return "its class lacks a stage or parameters"
     units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
     return next(
-        (f"the unit '{u}' of {name} is none of {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
+        (f"the unit '{u}' of {name} is not in {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
     )

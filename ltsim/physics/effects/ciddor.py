@@ -61,7 +61,7 @@ def refractivity(
     mass = 1e-3 * (28.9635 + 12.011e-6 * 50.0)
 
     def density(t: Floats, p: float, x: Floats) -> Floats:
-        """P M / (Z R T), with the molar mass left out."""
+        """Molar density [mol/m^3] at temperature [C], pressure [Pa] and mole fraction of water vapour."""
         return p / (_compressibility(t, p, x) * GAS_CONSTANT * (t + 273.15))
 
     standard = density(np.array(15.0), 101_325.0, np.array(0.0)) * mass
@@ -72,7 +72,9 @@ def refractivity(
 
 @lru_cache
 def temperature_sensitivity(temperature: float = 20.0) -> float:
-    """Beta = -dn/dT [1/K] at `temperature` [C] in air of ordinary pressure and humidity (central difference).
+    """Sensitivity beta = -dn/dT [1/K] of the refractive index at `temperature` [C] (central difference).
+
+    Pressure and humidity are normal.
 
     The humidity's share follows the vapour pressure, as for a hygrometer that shows a constant percentage.
     """

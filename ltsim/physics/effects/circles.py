@@ -1,4 +1,4 @@
-"""Errors of the two graduated circles."""
+"""Errors of the two graduated circles: eccentricity, second order, higher harmonics."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -11,19 +11,19 @@ COLUMN = {"azimuth": 1, "elevation": 2}
 
 
 def lobes(name: str, of: str, size: float, kind: PriorKind | None = None) -> tuple[Parameter, ...]:
-    """Amplitudes of the cosine and the sine of an angle."""
+    """Parameters of the cosine and sine amplitudes of an angle."""
     waves = ("cosine", "sine")
     return tuple(Parameter(f"{name}-{wave[:3]}", "urad", f"{wave} of {of}", size, kind) for wave in waves)
 
 
 def waves(circle: str, order: int) -> tuple[Term, Term]:
-    """Cosine and sine of a multiple of the raw reading of a circle, as corrections of that reading."""
+    """Terms with cosine and sine of a multiple of a circle's raw reading, as corrections of that reading."""
     return Term(circle, Lobe("cos", COLUMN[circle], order)), Term(circle, Lobe("sin", COLUMN[circle], order))
 
 
 @dataclass(frozen=True)
 class Harmonic(SlotEffect):
-    """Harmonic `order` of a circle, the only one of its observables."""
+    """Graduation harmonic of `order` of one circle."""
 
     order: int = 3
 
@@ -33,5 +33,5 @@ class Harmonic(SlotEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every order that can be told."""
+        """Candidates for every order that the data can distinguish."""
         return [cls(order=m) for m in ORDERS]

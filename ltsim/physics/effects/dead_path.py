@@ -9,11 +9,11 @@ from ltsim.scene.sightings import Sightings
 
 COLUMN = "air_temperature_c"
 STEADY = 0.05
-"""[K] Smallest span of temperature from which the effect is estimable."""
+"""Smallest range of temperatures [K] from which the effect can be estimated."""
 
 
 class DeadPath(Effect):
-    """Dead path: a part of the reference path inside the head warms with the air, and nobody corrects it.
+    """Dead path: a part of the reference path inside the head warms up with the air, without correction.
 
     Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
     k = -beta D_0, with beta = 0.955 ppm/K the change of the air's index; for an absolute meter the fibre's own.
@@ -30,11 +30,11 @@ class DeadPath(Effect):
     stage = Stage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)
-    parameters = (Parameter("dead-path", "um/K", "missing from every range a kelvin warmer", 3 * MICROMETRE),)
+    parameters = (Parameter("dead-path", "um/K", "length missing from every range per kelvin", 3 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """A single candidate, if the temperature varies."""
+        """Candidate of the effect if the temperature varies; none otherwise."""
         temperature = sightings.covariates.get(COLUMN)
         varies = (
             temperature is not None

@@ -6,12 +6,12 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 def half(raw: Floats) -> Floats:
-    """The beam misses by half of what the returning spot is off."""
+    """Beam deviation per offset of the return spot, 0.5."""
     return np.full(len(raw), 0.5)
 
 
 class DetectorOffset(SlotEffect):
-    """Null offset of the tracking detector: the return spot is held at a wrong place, so the beam misses the vertex.
+    """Null offset of the tracking detector: the return spot is held off centre, so the beam misses the vertex.
 
     D_t = f eps_y / 2, D_v = f eps_z / 2, fixed to the scope: exactly a beam offset of half the size.
 

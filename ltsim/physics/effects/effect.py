@@ -1,7 +1,7 @@
-"""The contract of an effect.
+"""Interface of an effect: the base class that simulator, calibrator, planner and diagnosis share.
 
-An effect is one physical cause of a difference between the ideal reading and the instrument's. Simulator,
-calibrator, planner and diagnoser all use the same object:
+An effect is one physical cause of a difference between the ideal reading and the reading of the instrument. Simulator,
+calibrator, planner and diagnosis use the same object:
 
 * `parameters`: name, unit, meaning, prior. Effects are linear in their parameters.
 * `design(sightings)` (n, 3, p): change of the raw reading (range [m], azimuth, elevation [rad]) per unit of
@@ -44,7 +44,7 @@ Scope = Literal["all", "station", "target", "pointing", "reading"]
 
 
 class Stage(IntEnum):
-    """Stage on the path of the light at which an effect acts; the simulator applies effects in this order."""
+    """Stage of the light path at which an effect acts; the simulator applies effects in this order."""
 
     TARGET = 0
     STATION = 1
@@ -59,12 +59,12 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True)
 class Effect(Tunable):
-    """Base of all effects; see the module for the contract."""
+    """Base class of all effects; the module docstring describes its interface."""
 
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
     coarse: float = field(default=1.0, kw_only=True)
-    """Times its usual size that is plausible where the instrument is coarser than a laser tracker."""
+    """Factor on the plausible size for instruments that are coarser than a laser tracker."""
 
     name: ClassVar[str]
     stage: ClassVar[Stage]
@@ -73,18 +73,19 @@ class Effect(Tunable):
     covariates: ClassVar[tuple[str, ...]] = ()
     scope: ClassVar[Scope] = "all"
     plural: ClassVar[bool] = False
-    """Several of them in one recording are nothing unusual: bad readings, nests and targets."""
+    """True for an effect that commonly occurs several times in a recording: outliers, nests, targets."""
 
     @property
     def spread(self) -> Floats:
-        """Plausible sizes (p,) of its parameters [SI]."""
+        """Plausible sizes (p,) of the parameters [SI]."""
         return self.coarse * super().spread
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Instances a diagnosis tries on a network: all places of the effect's scope, all shapes of its grid.
+        """Candidates that a diagnosis tries on a network: all places of the effect's scope, all shapes of its grid.
 
-        An effect whose places follow from the recording (a change point between two pointings) says so here.
+        An effect whose places depend on the recording, such as a change point between two pointings, overrides this
+        method.
         """
         places: list[dict[str, Any]] = [{}]
         if cls.scope == "station":
@@ -98,34 +99,34 @@ class Effect(Tunable):
 
 @dataclass(frozen=True)
 class NoiseEffect(NoiseSignature, Effect):
-    """A change of the noise."""
+    """Base class of effects that change the noise and not the mean."""
 
 
 @dataclass(frozen=True)
 class Mistake(Effect):
-    """A blunder at the work: something else was measured, or a finished reading was written down wrongly.
+    """Base class of blunders: another point was measured, or a finished reading was recorded wrongly.
 
-    The simulator makes it by doing the wrong thing (`done`, `written`), so that the instrument's errors and the noise
-    are those of what was really done; `design` says what it does to an ideal reading. A mistake of its size is mended
-    before an adjustment, so a search has no candidates.
+    The simulator reproduces the wrong action (`done`, `written`), so that instrument errors and noise belong to the
+    actual measurement; `design` is the change of an ideal reading. A blunder of this size is corrected before an
+    adjustment, so that a search has no candidates.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """No candidates: `possible` lists the mistakes."""
+        """Candidates for a search: none, since `possible` lists the blunders."""
         return []
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
-        """Every such mistake that can have happened."""
+        """All blunders of this kind that are possible in a network."""
         raise NotImplementedError
 
     def done(self, sightings: Sightings) -> Sightings:
-        """Sightings that were really measured."""
+        """Sightings that were actually measured."""
         return sightings
 
     def written(self, sightings: Sightings, readings: Floats) -> Floats:
-        """Readings (n, 3) as they were written down, from finished readings (n, 3)."""
+        """Readings (n, 3) as recorded, from finished readings (n, 3)."""
         return readings
 
 
@@ -133,38 +134,38 @@ Basis = Callable[[Floats], Floats]
 
 
 def unity(raw: Floats) -> Floats:
-    """The constant basis."""
+    """Constant basis, 1 for every reading."""
     return np.ones(len(raw))
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """The basis cos or sin of a multiple of a raw reading (1 azimuth, 2 elevation)."""
+    """Basis function cosine or sine of a multiple of a raw reading (1 azimuth, 2 elevation)."""
 
     wave: Literal["cos", "sin"]
     column: int
     order: float = 1
 
     def __call__(self, raw: Floats) -> Floats:
-        """(n,) of raw readings (n, 3)."""
+        """Values (n,) of the basis at raw readings (n, 3)."""
         angle: Floats = self.order * raw[:, self.column]
         return np.cos(angle) if self.wave == "cos" else np.sin(angle)
 
 
 @dataclass(frozen=True)
 class Power:
-    """The basis range to a power."""
+    """Basis function power of the range."""
 
     order: int = 1
 
     def __call__(self, raw: Floats) -> Floats:
-        """(n,) of raw readings (n, 3)."""
+        """Values (n,) of the basis at raw readings (n, 3)."""
         return raw[:, 0] ** self.order
 
 
 @dataclass(frozen=True)
 class Term:
-    """A parameter's part in a kinematic chain: ``error[slot] += value * basis(raw)``."""
+    """Contribution of a parameter to a slot of a kinematic chain: ``error[slot] += value * basis(raw)``."""
 
     slot: str
     basis: Basis = unity
@@ -172,9 +173,9 @@ class Term:
 
 @dataclass(frozen=True)
 class SlotEffect(Effect):
-    """An error of the instrument's geometry: each parameter feeds a slot of the kinematic chain.
+    """Base class of geometric errors of the instrument; each parameter acts on a slot of the kinematic chain.
 
-    The construction evaluates it exactly; `design` is its first-order form.
+    The construction evaluates the error exactly; `design` is its first-order form.
     """
 
     terms: ClassVar[tuple[Term, ...]]

@@ -4,7 +4,7 @@ from ltsim.physics.effects.effect import SlotEffect, Stage
 
 
 class ElevationEccentricity(SlotEffect):
-    """Eccentricity of the elevation circle: the circle turns off its centre, one lobe a turn.
+    """Eccentricity of the elevation circle: the circle rotates off its centre, one period per turn.
 
     C1 cos(x) + D1 sin(x), x the raw elevation: Delta_elevation = C1 cos(el) + f D1 sin(el) in front-face terms. C1 is
     largest at the horizon and the same on both faces; D1 parts ceiling from floor and flips.

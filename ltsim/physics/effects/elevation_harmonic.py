@@ -4,7 +4,7 @@ from ltsim.physics.effects.effect import Stage
 
 
 class ElevationHarmonic(Harmonic):
-    """Higher graduation harmonic of the elevation circle: lines of the scale are off, as its read heads see them.
+    """Higher graduation harmonic of the elevation circle: errors of the scale as averaged by its read heads.
 
     Delta_elevation = A cos(m x) + B sin(m x), x the raw elevation, m from 3 up. In front-face terms the cosine flips
     with the face for even m, the sine for odd m.

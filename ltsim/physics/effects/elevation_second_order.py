@@ -4,7 +4,7 @@ from ltsim.physics.effects.effect import SlotEffect, Stage
 
 
 class ElevationSecondOrder(SlotEffect):
-    """Two-lobe error of the elevation circle: the scale is stretched and squeezed twice a turn.
+    """Second-order error of the elevation circle: the scale is stretched and compressed twice per turn.
 
     C2 cos(2 x) + D2 sin(2 x), x the raw elevation: Delta_elevation = f C2 cos(2 el) + D2 sin(2 el); the cosine flips
     with the face, the sine does not.

@@ -7,12 +7,12 @@ from ltsim.physics.effects.effect import SlotEffect, Stage, Term
 from ltsim.scene.sightings import Sightings
 
 COUNTS = (256, 360, 512, 720, 1024, 2048, 3600, 4096, 8192, 9000, 10_000, 16_384, 18_000, 20_000, 32_768, 36_000)
-"""Periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
+"""Signal periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
 
 
 @dataclass(frozen=True)
 class EncoderInterpolation(SlotEffect):
-    """Interpolation error of an encoder: the signal between two lines of the scale is no pure sine.
+    """Interpolation error of an encoder: the signal between two lines of the scale is not an exact sine.
 
     Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods a turn, 1e3 to 1e5. It looks like
     white noise of that angle, but repeats where the same angle is read again.
@@ -48,6 +48,6 @@ class EncoderInterpolation(SlotEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Both circles with the usual counts."""
+        """Candidates for both circles with the usual numbers of periods."""
         circles: tuple[Literal["azimuth", "elevation"], ...] = ("azimuth", "elevation")
         return [cls(circle=circle, periods=n) for circle in circles for n in COUNTS]

@@ -31,15 +31,15 @@ class FaceConfusion(Mistake):
     observables = ("azimuth", "elevation")
     covariates = ("face",)
     scope = "station"
-    parameters = (Parameter("confused", "", "1 where the faces are confused", 1.0),)
+    parameters = (Parameter("confused", "", "1 for exchanged faces", 1.0),)
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
-        """Either face of every station."""
+        """Possible blunders: either face of every station."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
 
     def done(self, sightings: Sightings) -> Sightings:
-        """The other face was measured."""
+        """Sightings with the other face in the affected rows."""
         confused = (self.mask(sightings) > 0) & (sightings.face == self.face)
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 

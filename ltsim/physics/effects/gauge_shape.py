@@ -39,7 +39,7 @@ class GaugeShape(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every target; those that end no known length change nothing and are dropped as invisible."""
+        """Candidates for every target; targets without a reference length have no influence and are dropped later."""
         return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

@@ -11,14 +11,14 @@ from ltsim.scene.sightings import Sightings
 
 RING = 8
 LEVELS = (-0.6, 0.0, 0.6)
-"""[rad] Elevations of the candidate directions, in addition to the poles."""
+"""Elevations [rad] of candidate directions, in addition to zenith and nadir."""
 REACH = 0.5
-"""[m] Distance of candidate centres from a station."""
+"""Distance [m] of candidate centres from a station."""
 MOVES = (0.2, 0.08)
-"""[m] Steps of the refinement of a centre."""
+"""Steps [m] in the refinement of a centre."""
 NEAR_STATION, NEAR_TARGET = 0.25, 0.5
-MOST_PLACES = 40
-"""Stations, or targets, beyond which single plumes are not tried."""
+MAX_PLACES = 40
+"""Number of stations, or targets, beyond which plumes at single ones are not tried."""
 
 
 def _rounded(offset: Floats) -> tuple[float, float, float]:
@@ -28,7 +28,7 @@ def _rounded(offset: Floats) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class HeatPlume(WarmAir):
-    """Heat plume: a motor, a radiator or the tracker's own exhaust warms a part of the air.
+    """Heat plume: a motor, a radiator or the tracker's exhaust warms a region of the air.
 
     T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target, or at a place of the
     hall; along the path, s = 0 to d, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of
@@ -47,7 +47,7 @@ class HeatPlume(WarmAir):
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """[m] Centre from the station or target; of a plume of neither its coordinates in the network frame."""
+    """Centre [m] relative to the station or target; without either, its coordinates in the network frame."""
     radius: float = 0.3
 
     name = "heat-plume"
@@ -55,7 +55,7 @@ class HeatPlume(WarmAir):
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
     ways = 3
-    parameters = (Parameter("plume-temperature", "K", "how much warmer its centre is", 5.0, positive=True),)
+    parameters = (Parameter("plume-temperature", "K", "excess temperature of the centre", 5.0, positive=True),)
     shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
 
     def __post_init__(self) -> None:
@@ -64,12 +64,12 @@ class HeatPlume(WarmAir):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """A ring of directions, above and below at every station; around every target; on a grid over the hall."""
+        """Candidates around every station and target, and on a grid over the hall."""
         angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
         ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in LEVELS]
         offsets = [_rounded(REACH * np.array(way)) for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))]
-        stations = sightings.station_names if len(sightings.station_names) <= MOST_PLACES else ()
-        targets = sightings.target_names if len(sightings.target_names) <= MOST_PLACES else ()
+        stations = sightings.station_names if len(sightings.station_names) <= MAX_PLACES else ()
+        targets = sightings.target_names if len(sightings.target_names) <= MAX_PLACES else ()
         return [
             *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
             *(cls((), (name,), radius=NEAR_TARGET) for name in targets),
@@ -77,7 +77,7 @@ class HeatPlume(WarmAir):
         ]
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """Centres a little farther along or against each axis."""
+        """Plumes with the centre moved along each axis."""
         if self.targets:
             return []
         moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
@@ -85,11 +85,11 @@ class HeatPlume(WarmAir):
 
     @property
     def source_position(self) -> tuple[float, ...]:
-        """Centre [m] of a plume that stands in the hall."""
+        """Centre [m] of a plume that is fixed in the hall; empty otherwise."""
         return () if self.stations or self.targets else self.offset
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """The plume elsewhere in the hall."""
+        """Copy of the plume with another centre in the hall."""
         return self.reshaped(offset=centre)
 
     def _centre(self, sightings: Sightings) -> Floats:
@@ -116,7 +116,7 @@ class HeatPlume(WarmAir):
         )[:, :, None]
 
     def field(self, sightings: Sightings) -> AirField:
-        """The plume with a centre warmer by one kelvin."""
+        """Temperature field of a plume whose centre is 1 K warmer."""
         centre = self._centre(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:

@@ -4,7 +4,7 @@ from ltsim.physics.effects.places import Drift
 
 
 class IndexDrift(Drift):
-    """Drift of the vertical index: the head warms up and the zero of the elevation circle moves.
+    """Drift of the vertical index: the head warms up and the zero of the elevation circle changes.
 
     Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with
     the face in front-face terms, as the index does.
@@ -24,7 +24,7 @@ class IndexDrift(Drift):
     observables = ("elevation",)
     slot = "elevation"
     rate = Parameter("index-drift", "urad/h", "growth of the index", 20 * FACTOR["urad/h"])
-    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, dying away", 20 * MICRORADIAN)
+    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
     parameters = (rate,)
 
     laws = ("linear", "visit")

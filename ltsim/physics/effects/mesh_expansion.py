@@ -15,7 +15,7 @@ MODES = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
 
 @dataclass(frozen=True)
 class MeshExpansion(TargetMotion):
-    """Thermal expansion of the mesh: walls and floor carry the targets along as the hall warms.
+    """Thermal expansion of the mesh: walls and floor move the targets as the hall warms up.
 
     P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
     parameter is the growth of the structure itself (no correction of a reading).

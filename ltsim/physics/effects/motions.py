@@ -1,4 +1,4 @@
-"""Changes of readings when targets or stations move: exact, first order, and as bases of the effects of motion."""
+"""Changes of readings by motions of targets or stations: exact, and in first order; base classes of such effects."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
 
 
 def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
-    """Change (n, 3) of the raw readings when the station of each pointing moves by (n, 6).
+    """Change (n, 3) of the raw readings by motions (n, 6) of the station of each pointing.
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
@@ -32,26 +32,26 @@ def _displaced(sightings: Sightings, displacement: Floats) -> Sightings:
 
 
 def _apparent(sightings: Sightings, motion: Floats) -> Sightings:
-    """Sightings with reflectors where they appear from stations that moved by (n, 6)."""
+    """Sightings with reflectors at their apparent positions, seen from stations that moved by (n, 6)."""
     back = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
     apparent = np.einsum("nij,nj->ni", back, sightings.arm - motion[:, :3])
     return _displaced(sightings, apparent - sightings.arm)
 
 
 def _linearised(sightings: Sightings, apparent: Sightings, by_values: Floats) -> Linearisation:
-    """Change of the readings where reflectors appear elsewhere, with its derivatives."""
+    """Change of the readings for displaced apparent reflectors, with its derivatives."""
     by_target = apparent.by_target - sightings.by_target
     by_pose = station_design(apparent) - station_design(sightings)
     return Linearisation(reading_change(sightings, apparent.local), by_values, (by_target, by_pose))
 
 
 def station_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 6) of the raw readings per unit of the same motion, first order."""
+    """Change (n, 3, 6) of the raw readings per unit of station motion, first order."""
     return pose_design(sightings.by_target, sightings.arm)
 
 
 def reading_change(sightings: Sightings, local: Floats) -> Floats:
-    """Change (n, 3) of the raw readings when the targets appear at (n, 3) [m] in the instruments' frames."""
+    """Change (n, 3) of the raw readings for targets at (n, 3) [m] in the instruments' frames."""
     change: Floats = to_face(to_polar(local), sightings.face) - sightings.raw
     change[:, 1] = wrap(change[:, 1])
     return change
@@ -59,7 +59,7 @@ def reading_change(sightings: Sightings, local: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class TargetMotion(Effect):
-    """An effect that moves targets, or lets them appear moved."""
+    """Base class of effects that move targets, or their apparent positions."""
 
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
@@ -79,10 +79,10 @@ class TargetMotion(Effect):
 
 @dataclass(frozen=True)
 class StationMotion(Effect):
-    """An effect that moves stations."""
+    """Base class of effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, p) of each pointing's station, as of `exact_station_change`, per unit of each parameter."""
+        """Motion (n, 6, p) of each pointing's station per unit of each parameter, as in `exact_station_change`."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:

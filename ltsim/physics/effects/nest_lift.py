@@ -11,13 +11,15 @@ from ltsim.physics.effects.places import visited_pairs
 from ltsim.scene.sightings import Sightings
 
 SIZE = 50 * MICROMETRE
-MOST_PAIRS = 600
-"""Pairs of station and target beyond which no network is searched for single seatings: the w-test finds them."""
+MAX_PAIRS = 600
+"""Number of pairs of station and target beyond which single seatings are not searched, because the
+w-test detects them.
+"""
 
 
 @dataclass(frozen=True)
 class NestLift(TargetMotion):
-    """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of one station.
+    """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of a station.
 
     D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push
     sideways). The parameters are the motion of the reflector (no correction of a reading); all three readings of that
@@ -48,9 +50,9 @@ class NestLift(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every pair of station and target, free and, where the nest is known, along its normal."""
+        """Candidates for every pair of station and target: any direction and, for a known nest, along its normal."""
         pairs = visited_pairs(sightings)
-        if len(pairs) > MOST_PAIRS:
+        if len(pairs) > MAX_PAIRS:
             return []
         oriented = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented}

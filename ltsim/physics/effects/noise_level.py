@@ -5,11 +5,11 @@ from ltsim.physics.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.scene.sightings import Sightings
 
 LEAST = 0.01
-"""Smallest factor on a variance."""
+"""Smallest permitted factor on a variance."""
 
 
 class NoiseLevel(NoiseEffect):
-    """Noise level: all readings of a kind scatter more, or less, than the set-up states.
+    """Noise level: all readings of a kind have a larger or smaller standard deviation than declared.
 
     variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
 
@@ -25,9 +25,9 @@ class NoiseLevel(NoiseEffect):
     least = -0.95
     stage = Stage.NOISE
     parameters = (
-        Parameter("noise-distance", "", "variance added to the ranges over the stated", 1.0),
-        Parameter("noise-azimuth", "", "variance added to the azimuths over the stated", 1.0),
-        Parameter("noise-elevation", "", "variance added to the elevations over the stated", 1.0),
+        Parameter("noise-distance", "", "variance added to the ranges, divided by the declared variance", 1.0),
+        Parameter("noise-azimuth", "", "variance added to the azimuths, divided by the declared variance", 1.0),
+        Parameter("noise-elevation", "", "variance added to the elevations, divided by the declared variance", 1.0),
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:

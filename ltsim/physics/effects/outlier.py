@@ -12,7 +12,7 @@ Observable = Literal["distance", "azimuth", "elevation"]
 
 
 COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
-MOST_ROWS = 1500
+MAX_ROWS = 1500
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Outlier(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every reading of a recording of ordinary size."""
-        if len(sightings) > MOST_ROWS:
+        """Candidates for every reading of a recording of moderate size."""
+        if len(sightings) > MAX_ROWS:
             return []
         places = [
             ((sightings.station_names[s],), (sightings.target_names[t],))

@@ -1,4 +1,4 @@
-"""Places and times at which an effect may act, from a recording's pointings; and laws in time shared by drifts."""
+"""Places and times at which an effect may act, from the pointings of a recording; time laws of drifts."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
@@ -9,15 +9,15 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
-MOST_CHANGES = 140
-"""Change points tried over all stations of a network together."""
+MAX_CHANGES = 140
+"""Number of change points that are tried over all stations of a network."""
 REACH = 6
 
 
 def change_times(times: Floats, *, least: int, most: int) -> list[float]:
-    """Middles of the gaps between pointings at `times` [s] with `least` pointings on either side.
+    """Midpoints of the gaps between pointings at `times` [s] with at least `least` pointings on either side.
 
-    At most `most` of them, spread evenly over the work.
+    At most `most` midpoints are returned, spread evenly over the measurement.
     """
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
@@ -29,8 +29,8 @@ def change_times(times: Floats, *, least: int, most: int) -> list[float]:
 
 
 def station_change_times(sightings: Sightings, *, least: int) -> list[tuple[str, float]]:
-    """(station, time [s]) of every change point inside a station's visit that is worth a trial."""
-    most = max(2, MOST_CHANGES // max(len(sightings.station_names), 1))
+    """Pairs (station, time [s]) of the change points within a station's visit that are tried."""
+    most = max(2, MAX_CHANGES // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
@@ -52,7 +52,7 @@ def visit_change_times(sightings: Sightings, target: int, *, most: int) -> list[
 
 
 def gaps_near(times: Floats, time: float) -> list[float]:
-    """Middles [s] of the `REACH` gaps between pointings at `times` on either side of `time`."""
+    """Midpoints [s] of the `REACH` gaps between pointings at `times` on either side of `time`."""
     ordered = np.unique(times)
     middle = 0.5 * (ordered[1:] + ordered[:-1])
     at = int(np.searchsorted(middle, time))
@@ -60,7 +60,7 @@ def gaps_near(times: Floats, time: float) -> list[float]:
 
 
 def visited_pairs(sightings: Sightings) -> list[tuple[str, str]]:
-    """(station, target) of every pair with a pointing."""
+    """Pairs (station, target) with a pointing."""
     pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
     return [(sightings.station_names[s], sightings.target_names[t]) for s, t in pairs]
 
@@ -77,20 +77,22 @@ WARM_UP = ShapeParameter(
 )
 
 
-SLOWEST, OF_SPAN = 2.0, (0.3, 1.0)
-"""Time constants over the span of the work: the slowest that is tried, and those where the usual ones are slower."""
+MAX_TIME_CONSTANT, SPAN_FRACTIONS = 2.0, (0.3, 1.0)
+"""Ratios of time constants to the duration of the measurement: the largest that is tried, and those that replace the
+usual ones if these are longer.
+"""
 
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """A correction of one slot that follows the clock."""
+    """Base class of corrections of one slot that depend on time."""
 
     law: TimeLaw = "linear"
-    """``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time since the
-    recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
+    """Law of time. ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time
+    since the recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
     """
     time_constant: float = 3600.0
-    """[s], of the exponential law."""
+    """Time constant [s] of the exponential law."""
 
     covariates = ("time",)
     shape = (WARM_UP,)
@@ -98,9 +100,9 @@ class Drift(Effect):
     rate: ClassVar[Parameter]
     amplitude: ClassVar[Parameter]
     laws: ClassVar[tuple[TimeLaw, ...]]
-    """Linear laws that are tried at all stations together: the first, and the others where there are several."""
+    """Linear laws that are tried at all stations together: the first one, and with several stations the others."""
     alone: ClassVar[bool] = False
-    """The law of a visit is tried at single stations too."""
+    """True if the law of a visit is also tried at single stations."""
 
     def __post_init__(self) -> None:
         chosen = self.amplitude if self.law == "exponential" else self.rate
@@ -108,12 +110,15 @@ class Drift(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Linear at all stations, at one alone, and warm-ups that end while it is measured.
+        """Candidates: linear at all stations or at one, and warm-ups that end during the measurement.
 
-        A slower one is a constant, or linear. Without a clock time goes by rows: constants are shares of all of it.
+        A slower warm-up is constant or linear. Without a clock, rows replace time, and time constants are fractions of
+        their number.
         """
         span = float(np.ptp(sightings.time))
-        times = [t for t in WARM_UP.grid().tolist() if t <= SLOWEST * span] or [share * span for share in OF_SPAN]
+        times = [t for t in WARM_UP.grid().tolist() if t <= MAX_TIME_CONSTANT * span] or [
+            share * span for share in SPAN_FRACTIONS
+        ]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
         linear = [cls(law=law) for law in (cls.laws if names else cls.laws[:1])]
         alone = [cls((name,), law="visit") for name in names if cls.alone]
@@ -121,7 +126,7 @@ class Drift(Effect):
         return [*linear, *alone, *warming]
 
     def progress(self, sightings: Sightings) -> Floats:
-        """The law at each pointing, [s] or dimensionless, (n,)."""
+        """Value (n,) of the time law at each pointing, [s] or dimensionless."""
         if self.law == "visit":
             return sightings.station_time
         since = sightings.time - start_time(sightings)

@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 SHORTEST, LONGEST = 0.02, 2.0
 PHASE = 0.125
-"""Share of a period by which the phase may be wrong at the ends of the span when it is right in the middle."""
+"""Largest phase error at the ends of the range interval, in periods, when the phase is correct in the middle."""
 MOST = 1200
 
 
@@ -45,7 +45,7 @@ class RangeCyclic(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Wavelengths as close as the span of ranges can tell apart, from the longest down."""
+        """Candidates with all wavelengths that the interval of ranges can distinguish, the longest first."""
         span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
         step = 4 * PHASE / max(span, 0.5)
         highest = min(1 / SHORTEST, 1 / LONGEST + MOST * step)

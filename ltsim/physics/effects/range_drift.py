@@ -4,7 +4,7 @@ from ltsim.physics.effects.places import Drift
 
 
 class RangeDrift(Drift):
-    """Drift of the range zero: the electronics and the head warm up.
+    """Drift of the range zero: electronics and head warm up.
 
     Delta_d = r t (linear over the recording, or anew in every visit) or A exp(-t / tau) (warm-up).
 
@@ -21,8 +21,8 @@ class RangeDrift(Drift):
     stage = Stage.RANGE
     observables = ("distance",)
     slot = "range"
-    rate = Parameter("range-drift", "um/h", "growth of what is missing from every range", 15 * FACTOR["um/h"])
-    amplitude = Parameter("range-drift-amplitude", "um", "missing at the start, dying away", 20 * MICROMETRE)
+    rate = Parameter("range-drift", "um/h", "growth of the length missing from every range", 15 * FACTOR["um/h"])
+    amplitude = Parameter("range-drift-amplitude", "um", "length missing at the start, decaying", 20 * MICROMETRE)
     parameters = (rate,)
 
     laws = ("linear", "visit")

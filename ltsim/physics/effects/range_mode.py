@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class RangeMode(Effect):
-    """Range zero by mode: the interferometer starts from another zero than the absolute distance meter.
+    """Range zero by mode: the interferometer has another zero than the absolute distance meter.
 
     Delta_d = rho for the ranges of the interferometer, where a recording holds both modes (column `distance_mode`): the
     difference of the two zeros. The zero that both share is range-offset.
@@ -27,11 +27,11 @@ class RangeMode(Effect):
     stage = Stage.RANGE
     observables = ("distance",)
     covariates = (MODE_COLUMN,)
-    parameters = (Parameter("interferometer-zero", "um", "missing from ranges of the interferometer", 30 * MICROMETRE),)
+    parameters = (Parameter("interferometer-zero", "um", "missing length of interferometer ranges", 30 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """A single candidate, if both modes were used."""
+        """Candidate of the effect if both modes were used; none otherwise."""
         return [cls()] if MODE_COLUMN in sightings.covariates else []
 
     def design(self, sightings: Sightings) -> Floats:

@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 class RangeOffset(SlotEffect):
-    """Range zero: the bird-bath distance, or the offset of the absolute distance meter, is wrong.
+    """Range zero error: the bird-bath distance or the offset of the absolute distance meter is wrong.
 
     Delta_d = rho_0: all ranges off by one length, the same on both faces.
 

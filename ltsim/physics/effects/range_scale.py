@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, Power, SlotEffect, Stage, Te
 
 
 class RangeScale(SlotEffect):
-    """Range scale: the frequency of the laser, or one refractive index of air for all, is wrong.
+    """Range scale error: the laser frequency or a common refractive index of the air is wrong.
 
     Delta_d = s d, the same on both faces. Air enters with 0.955 ppm/K, -0.268 ppm/hPa and 0.0085 ppm/%RH (633 nm, 20
     C): s = 0.955 ppm/K (T_true - T_used) and so on.
@@ -20,5 +20,5 @@ class RangeScale(SlotEffect):
     name = "range-scale"
     stage = Stage.RANGE
     observables = ("distance",)
-    parameters = (Parameter("range-scale", "ppm", "share missing from every range", 2 * PPM, "range_scale"),)
+    parameters = (Parameter("range-scale", "ppm", "fraction missing from every range", 2 * PPM, "range_scale"),)
     terms = (Term("range", Power()),)

@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class RangeStep(Effect):
-    """Step of the range zero: the beam is lost and found again, and the zero is another one afterwards.
+    """Step of the range zero: the beam is interrupted, and the zero has another value afterwards.
 
     Delta_d = rho from a time on, until the station is left.
 
@@ -30,11 +30,11 @@ class RangeStep(Effect):
     observables = ("distance",)
     covariates = ("time",)
     scope = "station"
-    parameters = (Parameter("range-step", "um", "missing from every range after the step", 30 * MICROMETRE),)
+    parameters = (Parameter("range-step", "um", "length missing from every range after the step", 30 * MICROMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """The start of every visit, and the gaps between its pointings."""
+        """Candidates at the start of every visit, and in the gaps between its pointings."""
         starts = [
             (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
             for s, name in enumerate(sightings.station_names)
@@ -43,7 +43,7 @@ class RangeStep(Effect):
         return [cls((name,), time=time) for name, time in [*starts, *changes]]
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """The gaps between pointings around this one."""
+        """Steps in the neighbouring gaps between pointings."""
         times = sightings.time[self.mask(sightings) > 0]
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
 

@@ -1,4 +1,4 @@
-"""Light through air of uneven temperature: the bent ray by integration, and its first order on the straight path.
+"""Light paths through air of non-uniform temperature: integration of the ray, and first order on the straight path.
 
 An air field gives, at points (m, 3) of the network frame, the temperature above that of the weather sensor (m,) [K] and
 its gradient (m, 3) [K/m].
@@ -23,14 +23,14 @@ from ltsim.scene.sightings import Sightings
 AirField = Callable[[Floats], tuple[Floats, Floats]]
 
 REFERENCE = 20.0
-"""[C] Reference temperature at the weather sensor; beta changes by 0.5 % per kelvin."""
+"""Reference temperature [C] at the weather sensor; beta changes by 0.5 % per kelvin."""
 STEPS = 64
 NODES, WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
 
 
 @lru_cache
 def _index_law() -> tuple[Polynomial, Polynomial]:
-    """Index of air less one by the temperature above the sensor's, -15 to +40 K, and its derivative."""
+    """Refractivity (index less one) by the temperature above the sensor's, -15 to +40 K, and its derivative."""
     excess = np.linspace(-15.0, 40.0, 56)
     law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE + excess), 8).convert()
     return law, law.deriv()
@@ -38,7 +38,7 @@ def _index_law() -> tuple[Polynomial, Polynomial]:
 
 @lru_cache
 def bending() -> float:
-    """Relative fall beta / n [1/K] of the index a kelvin, at the weather sensor."""
+    """Relative decrease beta / n [1/K] of the refractive index per kelvin, at the weather sensor."""
     law, _ = _index_law()
     return temperature_sensitivity(REFERENCE) / (1.0 + float(law(0.0)))
 
@@ -46,7 +46,7 @@ def bending() -> float:
 def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None) -> Floats:
     """Change (n, 3) of the raw readings by integrals along the straight paths (Gauss-Legendre).
 
-    Only pointings on which the field `acts` (n,) are integrated where that is given, the others do not change.
+    If `acts` (n,) is given, only the pointings that it marks are integrated; the others do not change.
     """
     rows = np.arange(len(sightings)) if acts is None else np.flatnonzero(acts)
     beam, across, up = (way[rows] for way in sightings.unit_vectors)
@@ -67,14 +67,14 @@ def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None
     return on_readings(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
 
-def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:
-    """Change (n, 3) of the raw readings when the light follows the ray equation (Runge-Kutta, fourth order).
+def integrated_change(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:
+    """Change (n, 3) of the raw readings by the ray equation (Runge-Kutta, fourth order).
 
-    The ray leaves in the direction that first order predicts; what it misses the target by turns that direction.
+    The ray starts in the first-order direction, which is then corrected by the distance at which it misses the target.
     """
     start, target = sightings.position[sightings.station], sightings.points[sightings.target]
     length = sightings.range_
-    guess = _aim(sightings, field)
+    guess = _apparent_directions(sightings, field)
     end, arrival, optical = _traced(start, guess, length, field, steps)
     miss = target - end
     along = np.sum(miss * arrival, axis=1)
@@ -87,8 +87,8 @@ def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats
     return reading_change(sightings, apparent)
 
 
-def _aim(sightings: Sightings, field: AirField) -> Floats:
-    """Unit vectors (n, 3) toward where the targets appear, first order."""
+def _apparent_directions(sightings: Sightings, field: AirField) -> Floats:
+    """Unit vectors (n, 3) towards the apparent positions of the targets, first order."""
     beam, across, up = sightings.unit_vectors
     change = first_order(sightings, field)
     aside = change[:, 1] * np.cos(sightings.elevation)
@@ -99,7 +99,7 @@ def _aim(sightings: Sightings, field: AirField) -> Floats:
 def _traced(
     start: Floats, direction: Floats, length: Floats, field: AirField, steps: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Ends (n, 3), directions there (n, 3), and integrals (n,) of n - 1 along rays of given arc length."""
+    """End points (n, 3), end directions (n, 3) and integrals (n,) of n - 1 along rays of given arc length."""
     law, slope = _index_law()
 
     def rates(place: Floats, heading: Floats) -> tuple[Floats, Floats]:
@@ -129,10 +129,10 @@ def _traced(
 
 @dataclass(frozen=True)
 class WarmAir(Effect):
-    """An effect of air that is warmer in places by its one parameter [K]."""
+    """Base class of effects of warmer air, with the temperature difference [K] as the only parameter."""
 
     def field(self, sightings: Sightings) -> AirField:
-        """The field of one kelvin."""
+        """Temperature field for a parameter of 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
@@ -140,11 +140,11 @@ class WarmAir(Effect):
         return first_order(sightings, self.field(sightings), self.mask(sightings) > 0)[:, :, None]
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the integrated ray."""
+        """Change (n, 3) of the raw readings by integration of the ray."""
         kelvin = self.field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             warmer, gradient = kelvin(points)
             return values[0] * warmer, values[0] * gradient
 
-        return bent(sightings, field) * self.mask(sightings)[:, None]
+        return integrated_change(sightings, field) * self.mask(sightings)[:, None]

@@ -6,7 +6,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class RefractivityDrift(Effect):
-    """Drift of the air's index: the hall warms up, the weather entered in the morning is kept.
+    """Drift of the refractive index: the hall warms up, but the weather values are not updated.
 
     Delta_d = d s t, t since the first pointing; a kelvin is 0.955 ppm. Later stations see the mesh smaller.
 
@@ -24,7 +24,7 @@ class RefractivityDrift(Effect):
     observables = ("distance",)
     covariates = ("time", "distance")
     parameters = (
-        Parameter("refractivity-drift", "ppm/h", "growth of the share missing from every range", 3 * FACTOR["ppm/h"]),
+        Parameter("refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * FACTOR["ppm/h"]),
     )
 
     def design(self, sightings: Sightings) -> Floats:

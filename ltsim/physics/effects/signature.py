@@ -1,8 +1,8 @@
-"""Signatures: laws whose parameters an adjustment can estimate with poses, targets and instrument.
+"""Signatures: functions of the readings whose parameters an adjustment estimates with poses, targets and instrument.
 
-`Signature` is all that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` ask for. A class that inherits from it
-gives `name`, `parameters` and `design`. What a search over laws needs beyond is `Tunable`; laws of the scatter are
-`NoiseSignature`. An effect (`effects.effect.Effect`) is a `Tunable` with a card: a physical cause with a name.
+`Signature` is the interface that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` use. A subclass defines
+`name`, `parameters` and `design`. `Tunable` adds the interface for a search over laws; `NoiseSignature` is for changes
+of the variance. An effect (`effects.effect.Effect`) is a `Tunable` with a card: a physical cause with a name.
 
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """
@@ -28,17 +28,17 @@ class Parameter:
 
     name: str
     unit: str
-    """The unit a person reads it in, a key of `units.FACTOR`; values are SI."""
+    """Unit of display, a key of `units.FACTOR`; values are SI."""
     meaning: str
     prior_sigma: float
     """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
-    """Kind of the maker's guarantee that gives its prior; None: `prior_sigma` alone."""
+    """Kind of specification that gives the prior; None: `prior_sigma` alone."""
     positive: bool = False
-    """True if never negative: a thickness."""
+    """True for a quantity that is never negative, such as a thickness."""
 
     def sigma_from(self, prior: Prior) -> float:
-        """Prior standard deviation [SI] under a maker's guarantee."""
+        """Prior standard deviation [SI] from the specification of the instrument."""
         if self.name in prior.parameters:
             return prior.parameters[self.name] * self.factor
         if self.prior_kind is None:
@@ -52,18 +52,18 @@ class Parameter:
 
     @property
     def factor(self) -> float:
-        """The unit in SI."""
+        """Unit of display in SI."""
         return FACTOR[self.unit]
 
 
 def along_axes(name: str, unit: str, meaning: str, size: float) -> tuple[Parameter, ...]:
-    """Parameters along, or about, the axes of the network; `meaning` ends before them."""
+    """Parameters along, or about, the axes of the network; `meaning` is the description without the axis."""
     return tuple(Parameter(f"{name}-{axis}", unit, f"{meaning} the network's {axis} axis", size) for axis in "xyz")
 
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A constant that enters nonlinearly: a field of the effect, searched between bounds."""
+    """Constant that enters an effect nonlinearly: a field of the effect, searched between bounds."""
 
     name: str
     unit: str
@@ -86,7 +86,7 @@ class ShapeParameter:
         return np.linspace(self.low, self.high, self.steps)
 
     def bracket(self, value: float) -> tuple[float, float]:
-        """The stretch [SI] from one step of the grid below a value to one above, within the bounds and around it."""
+        """Interval [SI] of a value, from one grid step below it to one above, within the bounds."""
         grid = np.sort(self.grid())
         if len(grid) < 2:
             return value, value
@@ -98,21 +98,21 @@ class ShapeParameter:
 
 
 class Linearisation(NamedTuple):
-    """Change of the readings by a signature at some parameter values, and its derivatives there."""
+    """Change of the readings by a signature at given parameter values, with its derivatives."""
 
     shift: Floats
     """Change (n, 3) of the raw readings."""
     by_values: Floats
-    """Derivative (n, 3, p) by the parameters."""
+    """Derivative (n, 3, p) with respect to the parameters."""
     by_geometry: tuple[Floats, Floats] | None = None
-    """Derivatives by the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
+    """Derivatives with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
 
     None where they are neglected, as for all changes that are small beside the distance.
     """
 
 
 class Signature(Protocol):
-    """A law of the readings, linear in its parameters."""
+    """Change of the readings, linear in its parameters."""
 
     @property
     @abstractmethod
@@ -130,17 +130,17 @@ class Signature(Protocol):
 
     @property
     def spread(self) -> Floats:
-        """Plausible sizes (p,) of its parameters [SI]."""
+        """Plausible sizes (p,) of the parameters [SI]."""
         return np.array([p.prior_sigma for p in self.parameters], dtype=np.float64)
 
     @property
     def stations(self) -> tuple[str, ...]:
-        """Names of the stations where it acts; empty for all."""
+        """Names of the stations at which it acts; empty for all."""
         return ()
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the targets where it acts; empty for all."""
+        """Names of the targets at which it acts; empty for all."""
         return ()
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
@@ -148,23 +148,23 @@ class Signature(Protocol):
         return self.design(sightings) @ values
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
-        """The change of the readings at parameter values (p,) [SI], with its derivatives."""
+        """Change of the readings at parameter values (p,) [SI], with its derivatives."""
         return Linearisation(self.shift(sightings, values), self.design(sightings))
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.
+        """Change (g, p) of the reference lengths between targets `first` and `second` (g,) per unit of each parameter.
 
-        Only what acts on the gauge itself has one.
+        It is not zero only for effects on the gauge.
         """
         return np.zeros((len(first), len(self.parameters)))
 
     @property
     def place(self) -> str:
-        """Names of the stations and targets where it acts, separated by commas; empty for everywhere."""
+        """Names of the stations and targets at which it acts, separated by commas; empty for everywhere."""
         return ",".join(self.stations + self.targets)
 
     def mask(self, sightings: Sightings) -> Floats:
-        """(n,) 1 where it acts, 0 elsewhere."""
+        """Weights (n,): 1 for pointings on which it acts, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             acts &= _among(sightings.station, sightings.station_ids, self.stations)
@@ -174,63 +174,63 @@ class Signature(Protocol):
 
 
 def _among(values: Ints, places: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
-    """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
+    """Flags (n,) of the values that have one of a few names; the test for a single name is much faster."""
     ids = [i for name in names for i in places.get(name, ())]
     return values == ids[0] if len(ids) == 1 else np.isin(values, ids)
 
 
 class Tunable(Signature, Protocol):
-    """A signature that a search compares with others, with constants that it may move."""
+    """Signature with adjustable constants, which a search compares with other candidates."""
 
     shape: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
     ways: ClassVar[int] = 1
-    """Independent directions in which `finer` moves."""
+    """Number of independent directions in which `finer` varies the constants."""
 
     @property
     @abstractmethod
     def observables(self) -> tuple[str, ...]:
-        """Observables that it acts on: distance, azimuth, elevation."""
+        """Observables that the signature changes: distance, azimuth, elevation."""
 
     @property
     @abstractmethod
     def covariates(self) -> tuple[str, ...]:
-        """Covariates that it depends on."""
+        """Covariates that the signature depends on."""
 
     def finer(self, sightings: Sightings) -> Sequence[Self]:
-        """Neighbours that a first search leaves out; tried once this one stands out."""
+        """Neighbouring candidates that a first search omits; tried once this one is significant."""
         return ()
 
     @property
     def source_position(self) -> tuple[float, ...]:
-        """Coordinates [m], network frame, of the place of the hall where it stands; empty where it has none."""
+        """Coordinates [m], network frame, of the region of the hall in which it acts; empty if it has none."""
         return ()
 
     @property
     def hall_axes(self) -> str:
-        """Axes of these coordinates."""
+        """Axes of the coordinates of `source_position`."""
         return "xyz"[: len(self.source_position)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """The same law with its place of the hall elsewhere."""
+        """Copy with another region of the hall."""
         return self
 
     def reshaped(self, **constants: Any) -> Self:
-        """The same law with other constants: fields of a dataclass."""
+        """Copy with other constants, which are fields of the dataclass."""
         return replace(self, **constants)  # type: ignore[type-var]
 
 
 class NoiseSignature(Tunable, Protocol):
-    """A law of the scatter: parameters are added variances or factors on them, not mean shifts."""
+    """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
 
     least: ClassVar[float] = 0.0
-    """Smallest value of a parameter in units of its prior sigma: most causes add noise and take none away."""
+    """Smallest value of a parameter in units of its prior sigma; most causes only add noise."""
 
     @abstractmethod
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings when the stated standard deviations are `sigma` (n, 3).
+        """Variance (n, 3) of the readings with declared standard deviations `sigma` (n, 3).
 
-        Must give sigma^2 at zero values; each reading follows one of the values at most.
+        It must be sigma^2 at zero values; each reading depends on at most one of the values.
         """
 
     def size_grid(self) -> list[tuple[float, ...]]:
@@ -240,7 +240,7 @@ class NoiseSignature(Tunable, Protocol):
         return [tuple(size * subset * self.spread) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)]
 
     def design(self, sightings: Sightings) -> Floats:
-        """No mean shift: zeros (n, 3, p)."""
+        """Change of the mean: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
@@ -251,10 +251,10 @@ def on_readings(
     azimuth: Floats | float = 0.0,
     elevation: Floats | float = 0.0,
 ) -> Floats:
-    """A design (n, 3) or (n, 3, p) from corrections (truth - reading) (n,) or (n, p) of front-face coordinates.
+    """Design (n, 3) or (n, 3, p) from corrections (truth - reading), (n,) or (n, p), of front-face coordinates.
 
-    The elevation's sign is turned on the back face, whose raw elevation runs backwards, and all are negated:
-    a reading changes by minus its correction.
+    On the back face the sign of the elevation is reversed, because its raw value decreases. All corrections are
+    negated: a reading changes by minus its correction.
     """
     corrections = [np.asarray(c, dtype=np.float64) for c in (distance, azimuth, elevation)]
     design = np.empty((len(sightings), 3, *max((c.shape[1:] for c in corrections), key=len)))
@@ -265,7 +265,7 @@ def on_readings(
 
 
 def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
-    """Change (n, 3, p) of the raw readings when targets move by (n, 3, p) [m] in the network frame."""
+    """Change (n, 3, p) of the raw readings by displacements (n, 3, p) [m] of the targets in the network frame."""
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):
         return sightings.by_target @ displacement
@@ -275,7 +275,7 @@ def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
 
 
 def constants_of(effect: Tunable) -> int:
-    """Number of constants of an effect: its parameters, and those of its shape and place."""
+    """Number of constants of an effect: its parameters, and the constants of its shape and place."""
     constants = (value for name, value in vars(effect).items() if name != "coarse")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 

@@ -11,9 +11,10 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def reflector_axes(sightings: Sightings) -> Floats:
-    """Axial, side and up of each pointing's reflector as columns, in the network frame, (n, 3, 3).
+    """Axes of each pointing's reflector (axial, side, up) as columns, network frame, (n, 3, 3).
 
-    Re-aimed, and where the nest is unknown, the axis looks at the station; otherwise along the nest's normal.
+    The axis of a re-aimed reflector, or of one in an unknown nest, points to the station; otherwise it is the nest's
+    normal.
     """
     normal = sightings.nest_normal[sightings.target]
     turned = sightings.reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
@@ -26,7 +27,7 @@ def reflector_axes(sightings: Sightings) -> Floats:
 
 
 class SmrCentring(Effect):
-    """Centring of a reflector: the vertex of its mirrors is not the centre of its sphere.
+    """Centring error of a reflector: the vertex of its mirrors is not at the centre of its sphere.
 
     The tracker measures the vertex, off the centre by e = axial a + side s + up p, axial along the open face: Delta_d =
     e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp, alpha the incidence off the axis and chi its
@@ -56,7 +57,7 @@ class SmrCentring(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """A common reflector for all targets, and a separate one for each target."""
+        """Candidates: a common reflector for all targets, and a separate one for each target."""
         return [cls(), *(cls((), (name,)) for name in sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

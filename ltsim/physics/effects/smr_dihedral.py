@@ -7,7 +7,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class SmrDihedral(Effect):
-    """Dihedral error of a reflector: two mirrors do not meet at a right angle, and the return spot splits.
+    """Dihedral error of a reflector: two mirrors are not perpendicular, and the return spot splits.
 
     The six sub-beams part by up to 1.63 delta; their mean stays unless the spot is clipped or a coating is uneven. Then
     the tracker holds the spot's brighter part, off by a share of 1.63 delta d: a constant angle for that reflector and

@@ -15,18 +15,19 @@ EDGE = 30.0 * DEGREE
 PAPER_TABLE = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
 """Range error (reading - truth) [m] at `TABLE_ANGLES`: size and asymmetry of the paper's fig. 9."""
 KNOTS = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
-"""Angles (4,) [rad] at which the error may change its slope: those of the table from normal incidence outwards."""
+"""Angles (4,) [rad] at which the slope of the error may change: those of the table from normal incidence outwards."""
 EVEN, ODD = 1.5 * MICROMETRE, 0.6 * MICROMETRE
-"""Standard deviation of a change of slope at a knot, by what it adds to the error up to the next, in the even part and
-in each of the odd parts. At the edge they have standard deviations of 8.2 um and 3.3 um; in the paper's table the parts
-there are 7.7 um and 2.4 um."""
+"""Standard deviations [m] of a change of slope, as its contribution to the error at the next knot, in the even part and
+in each odd part. At the edge the parts have standard deviations of 8.2 um and 3.3 um; in the paper's table they are 7.7
+um and 2.4 um.
+"""
 THREEFOLD = 5 * MICROMETRE
 PARTS = ("even", "cos", "sin")
 _MEANINGS = ("alike on all sides", "to the horizontal side, opposite on the other", "to the upper side, opposite below")
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """The parameters of the three parts of the error, each a ramp from a knot to its size at 30 deg."""
+    """Parameters of the three parts of the error, each a ramp from a knot to its size at 30 deg."""
     steps = range(len(KNOTS), 0, -1)
     return tuple(
         Parameter(f"{part}-{number}", "um", f"{meaning}, from {knot:g} deg on, its size at 30 deg", step * bend)
@@ -36,13 +37,13 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
 
 
 def _ramps(incidence: Floats) -> Floats:
-    """Ramps (n, 4) at incidence (n,) [rad]: 0 up to each knot, 1 at 30 deg and beyond."""
+    """Ramps (n, 4) at incidence (n,) [rad]: 0 up to each knot, 1 from 30 deg on."""
     return np.clip((incidence[:, None] - KNOTS) / (EDGE - KNOTS), 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class SmrIncidence(Effect):
-    """Incidence-angle error of the reflector: the range depends on how the open face is turned to the beam.
+    """Incidence-angle error of a reflector: the range depends on the angle between open face and beam.
 
     With alpha the incidence and chi its direction around the nest's normal, Delta_d = even(alpha) + cos(chi) c(alpha) +
     sin(chi) s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). The first three are linear between the angles of a
@@ -63,9 +64,11 @@ class SmrIncidence(Effect):
     """
 
     table: tuple[float, ...] = ()
-    """[m]: range error (reading - truth) at `TABLE_ANGLES`, from any zero; empty: none but that of the parameters."""
+    """Range error (reading - truth) [m] at `TABLE_ANGLES`, relative to any zero; empty: the parameters alone give the
+    error.
+    """
     direction: float = 0.0
-    """[rad], chi_0: where the table's positive side lies around the nest's normal."""
+    """Direction chi_0 [rad] around the nest's normal to which the table's positive side points."""
 
     name: ClassVar[str] = "smr-incidence"
     stage: ClassVar[Stage] = Stage.TARGET
@@ -83,7 +86,10 @@ class SmrIncidence(Effect):
 
     @classmethod
     def terms(cls, incidence: Floats, direction: Floats) -> Floats:
-        """Range error (n, 14) [m], reading - truth, per unit of minus each parameter, at angles (n,) [rad] each."""
+        """Derivative (n, 14) of the range error (reading - truth) with respect to minus each parameter.
+
+        Incidence and direction are (n,) [rad].
+        """
         ramps, cubed = _ramps(incidence), (np.sin(np.minimum(incidence, EDGE)) / np.sin(EDGE)) ** 3
         once = np.exp(1j * direction[:, None])
         thrice = cubed[:, None] * once**3
@@ -92,7 +98,7 @@ class SmrIncidence(Effect):
 
     @cached_property
     def values_of_table(self) -> Floats:
-        """The parameters (14,) [m] of the table, corrections as all parameters are."""
+        """Parameters (14,) [m] that correspond to the table; they are corrections like all parameters."""
         if not self.table:
             return np.zeros(len(self.parameters))
         middle = len(TABLE_ANGLES) // 2
@@ -104,7 +110,7 @@ class SmrIncidence(Effect):
         return -np.concatenate([even, *odds, np.zeros(2)])
 
     def incidence(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Incidence and direction (n,) [rad]; both 0 for a reflector that is re-aimed or whose nest is unknown."""
+        """Incidence angle and its direction, each (n,) [rad]; 0 for a re-aimed reflector and for an unknown nest."""
         fixed = ~sightings.reaimed[sightings.target] & np.isfinite(sightings.incidence)
         angle = np.where(fixed, sightings.incidence, 0.0)
         direction = np.where(fixed, sightings.incidence_direction, 0.0)

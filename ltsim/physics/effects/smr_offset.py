@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class SmrOffset(TargetMotion):
-    """Another reflector or adaptor: at one station an SMR of another radius was used, and the old constant kept.
+    """Other reflector or adaptor: one station used an SMR of another radius with the previous constant.
 
     D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the
     nest (no correction of a reading).
@@ -27,11 +27,11 @@ class SmrOffset(TargetMotion):
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
-    parameters = (Parameter("radius-difference", "mm", "radius of the SMR used, less that assumed", 5 * MILLIMETRE),)
+    parameters = (Parameter("radius-difference", "mm", "radius of the SMR minus the declared radius", 5 * MILLIMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every station, where nests are known."""
+        """Candidates for every station, if nests are known."""
         has_normals = np.isfinite(sightings.nest_normal).all(axis=1).any()
         return [cls((name,)) for name in sightings.station_names] if has_normals else []
 

@@ -13,7 +13,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class StationBump(StationMotion):
-    """Station bumped: somebody touched the tripod, and the station stands elsewhere from then on.
+    """Station bumped: the tripod was touched, and the station has another pose from then on.
 
     pose(t) = pose + H(t - t_b) (translation, rotation). The parameters are the station's motion in the network frame,
     the rotation a vector through its origin (no correction of a reading).
@@ -34,16 +34,16 @@ class StationBump(StationMotion):
     scope = "station"
     parameters = (
         *along_axes("shift", "um", "motion of the station along", 100 * MICROMETRE),
-        *along_axes("turn", "urad", "turn of the station about", 50 * MICRORADIAN),
+        *along_axes("turn", "urad", "rotation of the station about", 50 * MICRORADIAN),
     )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every gap of a visit with three pointings on either side."""
+        """Candidates at every gap of a visit with three pointings on either side."""
         return [cls((name,), time=time) for name, time in station_change_times(sightings, least=3)]
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """The gaps between pointings around this one."""
+        """Bumps in the neighbouring gaps between pointings."""
         times = sightings.time[self.mask(sightings) > 0]
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
 

@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class StationLevelling(StationMotion):
-    """Levelling error: the level is wrong, and the station's axis leans although it was levelled.
+    """Levelling error: the level is wrong, so that the axis of a levelled station is inclined.
 
     w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y
     axes (no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the
@@ -30,13 +30,13 @@ class StationLevelling(StationMotion):
     covariates = ("place",)
     scope = "station"
     parameters = (
-        Parameter("lean-x", "urad", "turn about the instrument's x axis", 20 * MICRORADIAN),
-        Parameter("lean-y", "urad", "turn about the instrument's y axis", 20 * MICRORADIAN),
+        Parameter("lean-x", "urad", "rotation about the instrument's x axis", 20 * MICRORADIAN),
+        Parameter("lean-y", "urad", "rotation about the instrument's y axis", 20 * MICRORADIAN),
     )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every station alone, and the same bias at all."""
+        """Candidates: every station alone, and a common error of all."""
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
     def motion(self, sightings: Sightings) -> Floats:

@@ -2,7 +2,7 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 
 
 class StationNoise(NoiseLevel):
-    """Noise of one station: an unsteady stand, a fan or the sun makes its readings scatter more than stated.
+    """Noise of one station: an unstable stand, a fan or sunshine increases the scatter of its readings.
 
     variance = sigma^2 (1 + v) at that station.
 

@@ -9,12 +9,12 @@ from ltsim.physics.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 
 MOVES = [3, 4, 2]
-"""Components of a station's motion: rotation about x, about y, translation along z."""
+"""Components of a station's motion that settle: rotation about x, about y, translation along z."""
 
 
 @dataclass(frozen=True)
 class StationSettling(StationMotion):
-    """Settling of a station: tripod, stand or floor give way after the set-up, or the stand warms.
+    """Settling of a station: tripod, stand or floor yield after the set-up, or the stand warms up.
 
     pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are
     the final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x
@@ -36,8 +36,8 @@ class StationSettling(StationMotion):
     covariates = ("time",)
     scope = "station"
     parameters = (
-        Parameter("tilt-x", "urad", "final turn of the station about the network's x axis", 15 * MICRORADIAN),
-        Parameter("tilt-y", "urad", "final turn of the station about the network's y axis", 15 * MICRORADIAN),
+        Parameter("tilt-x", "urad", "final rotation of the station about the network's x axis", 15 * MICRORADIAN),
+        Parameter("tilt-y", "urad", "final rotation of the station about the network's y axis", 15 * MICRORADIAN),
         Parameter("rise", "um", "final rise of the station", 20 * MICROMETRE),
     )
     shape = (

@@ -5,7 +5,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class StationWeather(Effect):
-    """Wrong weather at one station: a thermometer in the sun, a pressure in another unit.
+    """Wrong weather values at one station: a thermometer in the sun, a pressure in another unit.
 
     Delta_d = d s_i at station i: 0.955 ppm a kelvin that the used temperature is too low, -0.268 ppm a hPa that the
     used pressure is too low. That station sees the whole mesh larger or smaller.
@@ -23,7 +23,7 @@ class StationWeather(Effect):
     observables = ("distance",)
     covariates = ("distance",)
     scope = "station"
-    parameters = (Parameter("station-weather", "ppm", "share missing from every range of the station", 5 * PPM),)
+    parameters = (Parameter("station-weather", "ppm", "fraction missing from every range of the station", 5 * PPM),)
 
     def design(self, sightings: Sightings) -> Floats:
         return on_readings(sightings, distance=self.mask(sightings) * sightings.range_)[:, :, None]

@@ -10,13 +10,13 @@ from ltsim.physics.effects.motions import TargetMotion
 from ltsim.physics.effects.places import gaps_near, start_time, visit_change_times
 from ltsim.scene.sightings import Sightings
 
-MOST_STEPS = 8
+MAX_STEPS = 8
 STEP, RATE = 60 * MICROMETRE, 40 * FACTOR["um/h"]
 
 
 @dataclass(frozen=True)
 class TargetMoved(TargetMotion):
-    """Moved target: a nest is knocked, or its support creeps.
+    """Moved target: a nest was displaced suddenly, or its support creeps.
 
     step: P(t) = P + H(t - t_m) D. creep: P(t) = P + v (t - t_0), t_0 the first pointing. The parameters are the motion
     of the target in the network frame (no correction of a reading), the same as seen from all stations.
@@ -47,16 +47,16 @@ class TargetMoved(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Every target with a step between any two of its visits, and with a creep."""
+        """Candidates for every target: a step between any two visits, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
-            steps = visit_change_times(sightings, t, most=MOST_STEPS)
+            steps = visit_change_times(sightings, t, most=MAX_STEPS)
             candidates += [cls((), (name,), time) for time in steps]
             candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
         return candidates
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """Times of a step: gaps between pointings around this one, including gaps within the visits of a station."""
+        """Steps in neighbouring gaps between pointings, including gaps within the visits of a station."""
         times = sightings.time[self.mask(sightings) > 0]
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)] if self.kind == "step" else []
 

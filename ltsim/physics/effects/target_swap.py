@@ -11,7 +11,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class TargetSwap(Mistake):
-    """Swapped targets: two reflectors carry each other's name at a station.
+    """Swapped targets: at one station two reflectors have each other's name.
 
     The reading of one is that of the other: the change is the partner's reading less the own one, times 1.
 
@@ -28,16 +28,16 @@ class TargetSwap(Mistake):
     stage = Stage.ELECTRONICS
     covariates = ("place",)
     scope = "pointing"
-    parameters = (Parameter("swapped", "", "1 where the two are exchanged", 1.0),)
+    parameters = (Parameter("swapped", "", "1 for exchanged targets", 1.0),)
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
-        """Every pair at every station."""
+        """Possible blunders: every pair of targets at every station."""
         pairs = list(combinations(sightings.target_names, 2))
         return [cls((station,), pair) for station in sightings.station_names for pair in pairs]
 
     def done(self, sightings: Sightings) -> Sightings:
-        """The other of the two was measured."""
+        """Sightings in which the two targets are exchanged."""
         if len(self.targets) != 2:
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)

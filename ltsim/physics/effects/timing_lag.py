@@ -6,7 +6,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def approach_rate(sightings: Sightings) -> Floats:
-    """Mean rate of the raw readings [m/s, rad/s] since the last pointing of the same station, (n, 3)."""
+    """Mean rate (n, 3) of the raw readings [m/s, rad/s] since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
     lapse = sightings.time - sightings.time[sightings.previous]
     going = (sightings.previous >= 0) & (lapse > 0)
@@ -15,7 +15,7 @@ def approach_rate(sightings: Sightings) -> Floats:
 
 
 class TimingLag(Effect):
-    """Timing lag: a reading is taken before the axis has come to rest, or a channel is late.
+    """Timing lag: a reading is taken before the axis has settled, or a channel is delayed.
 
     Delta = rate of the reading times the lag, each channel with its own. The rate is that of the approach: the change
     since the last pointing of the station over the time between them; none for a station's first pointing.
@@ -33,9 +33,9 @@ class TimingLag(Effect):
     stage = Stage.ELECTRONICS
     covariates = ("time", "approach")
     parameters = (
-        Parameter("lag-distance", "ms", "how late the range is", 0.3e-3),
-        Parameter("lag-azimuth", "ms", "how late the azimuth is", 0.3e-3),
-        Parameter("lag-elevation", "ms", "how late the elevation is", 0.3e-3),
+        Parameter("lag-distance", "ms", "delay of the range", 0.3e-3),
+        Parameter("lag-azimuth", "ms", "delay of the azimuth", 0.3e-3),
+        Parameter("lag-elevation", "ms", "delay of the elevation", 0.3e-3),
     )
 
     def design(self, sightings: Sightings) -> Floats:

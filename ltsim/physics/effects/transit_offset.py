@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 class TransitOffset(SlotEffect):
-    """Transit offset: the transit axis passes beside the standing axis.
+    """Transit offset: the transit axis does not intersect the standing axis.
 
     Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d, tau positive forward: the only geometric term that
     makes the two faces read different ranges, by 2 tau cos(el).

@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 class TransitTilt(SlotEffect):
-    """Transit tilt: the transit axis is not square to the standing axis.
+    """Transit tilt: the transit axis is not perpendicular to the standing axis.
 
     Delta_azimuth = -f kappa tan(el), a lateral shift -f kappa d sin(el): ceiling and floor go to opposite sides,
     nothing happens at the height of the head; flips with the face.

@@ -7,7 +7,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class Turbulence(NoiseEffect):
-    """Turbulence: the air boils, and readings scatter more the farther they reach.
+    """Turbulence: the refractive index fluctuates, and the scatter of readings grows with the range.
 
     var(D_t) and var(D_v) grow by C d^3, var(d) by C_r d: a change of the noise, not of its mean.
 
@@ -24,10 +24,8 @@ class Turbulence(NoiseEffect):
     stage = Stage.AIR
     covariates = ("distance",)
     parameters = (
-        Parameter(
-            "turbulence-across", "um2/m3", "variance across the beam over the cube of the range", 9 * MICROMETRE**2
-        ),
-        Parameter("turbulence-along", "um2/m", "variance of the range over the range", 9 * MICROMETRE**2),
+        Parameter("turbulence-across", "um2/m3", "variance across the beam / cube of the range", 9 * MICROMETRE**2),
+        Parameter("turbulence-along", "um2/m", "variance of the range / range", 9 * MICROMETRE**2),
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""The catalogue of physical effects, to look at and add to; an effect from its name, its places and its constants."""
+"""Public functions of the catalogue: listing, registration, and effects from name, places and constants."""
 
 import dataclasses
 import inspect
@@ -12,17 +12,17 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
 
 PLACES, COMMON = ("stations", "targets"), {f.name for f in dataclasses.fields(AnyEffect)}
-WIDER = 100.0
-"""Times beyond the bounds of a search that a length or a time constant may be simulated."""
+SIMULATION_FACTOR = 100.0
+"""Factor beyond the bounds of a search up to which a length or time constant may be simulated."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Sized:
-    """An effect with sizes, as it is simulated and injected."""
+    """Effect with the sizes with which it is simulated or injected."""
 
     effect: AnyEffect
     sizes: Mapping[str, float]
-    """Values of its parameters by name, in display units."""
+    """Values of the parameters by name, in units of display."""
 
 
 S = TypeVar("S", bound=Signature | Sized)
@@ -69,20 +69,20 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
 
 
 def names(given: str | Sequence[str]) -> tuple[str, ...]:
-    """Names where one alone may stand for a list of one: a text is a name, not its letters."""
+    """Names as a tuple, where a single name may be given without a list."""
     return (given,) if isinstance(given, str) else tuple(given)
 
 
 def each_of(given: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
-    """Effects by name or as objects, where one alone may stand for a list of one."""
+    """Effects (names or objects) as a tuple, where a single one may be given without a list."""
     alone = isinstance(given, str) or not isinstance(given, Sequence)
     return (cast("str | S", given),) if alone else tuple(cast("Sequence[str | S]", given))
 
 
 def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
-    """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
+    """Effect of the catalogue with its places and constants (in units of display if declared, otherwise SI).
 
-    Raises ModelError when there is no such effect or constant, or a value does not fit.
+    Raises ModelError for an unknown effect or constant, and for an invalid value.
     """
     kind = find_effect(name)
     fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON}
@@ -99,9 +99,9 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
 
 
 def _check_constants(effect: AnyEffect) -> None:
-    """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
+    """Check of the constants of an effect: known words, and lengths and times near the searched range.
 
-    Raises ModelError, naming the constant and what would do.
+    Raises ModelError with the constant and its permitted values.
     """
     hints = get_type_hints(type(effect))
     for field in dataclasses.fields(effect):
@@ -110,14 +110,14 @@ def _check_constants(effect: AnyEffect) -> None:
             raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, choices))}")
     for shape in effect.shape:
         value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
-        low, high = shape.low / WIDER, shape.high * WIDER
+        low, high = shape.low / SIMULATION_FACTOR, shape.high * SIMULATION_FACTOR
         if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
             bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
             raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
 
 
 def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
-    """A constant in SI, of the type its default has."""
+    """Constant in SI, converted to the type of its default."""
     if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
         raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
     if isinstance(default, int):
@@ -128,7 +128,7 @@ def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
 
 
 def shape_of(effect: AnyEffect) -> dict[str, Any]:
-    """The constants of an effect, as `effect_from` takes them."""
+    """Constants of an effect, in the form that `effect_from` takes."""
     units = {s.name: FACTOR[s.unit] for s in effect.shape}
     names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON]
     values = {name: getattr(effect, name) for name in names}
@@ -137,7 +137,7 @@ def shape_of(effect: AnyEffect) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class EffectList(Result):
-    """Effects of the catalogue; `effects` are their classes."""
+    """List of effects of the catalogue; `effects` holds their classes."""
 
     effects: tuple[type[AnyEffect], ...]
 
@@ -167,7 +167,7 @@ class EffectList(Result):
 
 
 def catalogue(*names: str) -> EffectList:
-    """The physical effects that can be simulated, calibrated and diagnosed, or some of them.
+    """Physical effects that can be simulated, calibrated and diagnosed: all, or a selection.
 
     Parameters
     ----------
@@ -194,10 +194,10 @@ def _meaning(effect: type[AnyEffect]) -> str:
 
 
 def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
-    """Add an effect of your own for this session; also as a decorator of its class.
+    """Registration of a user-defined effect for this session; also a decorator of its class.
 
-    From then on its name works wherever that of an effect does: in scenarios, in `with_effects`, in campaigns (their
-    workers are told), in a diagnosis. A card is not needed; for other sessions put the class into a package.
+    Afterwards its name is valid in scenarios, in `with_effects`, in campaigns (including their worker processes) and in
+    a diagnosis. A card is optional. For other sessions the class must be in a package.
 
     Parameters
     ----------
@@ -218,6 +218,6 @@ def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
     >>> import ltsim as lt
     >>> lt.add_effect(int)
     Traceback (most recent call last):
-    ltsim.core.errors.ModelError: <class 'int'> cannot be an effect: it is no class derived from lt.Effect
+    ltsim.core.errors.ModelError: <class 'int'> cannot be an effect: it is not a class derived from lt.Effect
     """
     return CATALOGUE.add(kind)

@@ -3,7 +3,7 @@ from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
 
 
 class VerticalIndex(SlotEffect):
-    """Vertical index: the zero of the elevation circle is off, or the beam tilts upward.
+    """Vertical index error: the zero of the elevation circle is wrong, or the beam tilts upward.
 
     Delta_elevation = f phi_0: every target appears on a cone, and what poses leave of it is a bowl over azimuth and
     elevation; flips with the face.

@@ -11,9 +11,9 @@ from ltsim.scene.sightings import Sightings
 
 INDEX = 1.5
 SHARES = (0.25, 0.12)
-"""Lengths of the runs that are tried, as shares of a station's targets."""
+"""Lengths of the sequences of targets that are tried, as fractions of a station's targets."""
 TURNS = (-0.15, -0.05, 0.05, 0.15)
-"""[rad] Rotations of a pane in the refinement."""
+"""Rotations [rad] of a pane in the refinement."""
 
 
 def _around(sightings: Sightings, station: str) -> list[int]:
@@ -26,7 +26,7 @@ def _around(sightings: Sightings, station: str) -> list[int]:
 
 @dataclass(frozen=True)
 class Window(TargetMotion):
-    """Window in the path: a pane of glass stands between a station and some of its targets.
+    """Window in the path: a pane of glass is between a station and some of its targets.
 
     With i the angle at the pane: range + w (sqrt(n^2 - sin^2 i) - cos i), lateral w sin i (1 - cos i / sqrt(n^2 - sin^2
     i)) away from the normal. The parameter is the thickness w (no correction of a reading).
@@ -50,7 +50,7 @@ class Window(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Upright panes at every station, across runs of neighbouring targets in the order of their azimuths."""
+        """Candidates: upright panes at every station, in front of sequences of targets ordered by azimuth."""
         candidates = []
         for station in sightings.station_names:
             order = _around(sightings, station)
@@ -63,7 +63,7 @@ class Window(TargetMotion):
 
     @classmethod
     def _across(cls, sightings: Sightings, station: str, block: list[int]) -> list[Self]:
-        """A pane square to the middle of a run of targets; none where the run has no middle."""
+        """Pane perpendicular to the middle of a sequence of targets; empty if the middle is undefined."""
         arm = sightings.points[block] - sightings.position[sightings.station_names.index(station)]
         across = arm[:, :2].sum(axis=0)
         if len(block) < 2 or not np.linalg.norm(across) > 0:
@@ -72,7 +72,7 @@ class Window(TargetMotion):
         return [cls((station,), tuple(sightings.target_names[t] for t in sorted(block)), (x, y, 0.0))]
 
     def finer(self, sightings: Sightings) -> list[Self]:
-        """Neighbours: a target more or less at either end of the run; the pane turned a little."""
+        """Neighbouring candidates: one target more or less at either end of the sequence; the pane slightly rotated."""
         order = _around(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]

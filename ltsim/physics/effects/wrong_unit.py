@@ -34,7 +34,7 @@ class WrongUnit(Mistake):
     name = "wrong-unit"
     stage = Stage.ELECTRONICS
     scope = "station"
-    parameters = (Parameter("mistaken", "", "1 where the unit is wrong", 1.0),)
+    parameters = (Parameter("mistaken", "", "1 for a wrong unit", 1.0),)
 
     def __post_init__(self) -> None:
         if self.mistake not in SLIPS:
@@ -43,21 +43,21 @@ class WrongUnit(Mistake):
 
     @property
     def slip(self) -> TranscriptionError:
-        """TranscriptionError of this mistake: the unit or convention that is written, and the expected one."""
+        """Transcription error of this blunder: the unit or convention that was written, and the expected one."""
         return SLIPS[self.mistake]
 
     @classmethod
     def at(cls, station: str) -> list[Self]:
-        """Every slip at a station."""
+        """Blunders of every unit and convention at one station."""
         return [cls((station,), mistake=name) for name in SLIPS]
 
     @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
-        """Every slip at every station."""
+        """Possible blunders: every unit and convention at every station."""
         return [effect for name in sightings.station_names for effect in cls.at(name)]
 
     def written(self, sightings: Sightings, readings: Floats) -> Floats:
-        """The readings in the wrong unit."""
+        """Readings (n, 3) in the wrong unit."""
         return np.where(self.mask(sightings)[:, None] > 0, self.slip.written(readings), readings)
 
     def design(self, sightings: Sightings) -> Floats:

@@ -1,1 +1,1 @@
-"""The language in which physics is told: a carrier that follows a driver at a place. It knows of no search."""
+"""Empirical laws of unknown physics: a response depends on a regressor at a place. This package contains no search."""

@@ -1,4 +1,4 @@
-"""Columns of regressors (drivers) over the pointings, each of rms about one, and priors of their coefficients.
+"""Columns of regressors over the pointings, each with an rms of about one, and priors of their coefficients.
 
 A smooth curve is a Gaussian process in one covariate, in reduced rank: a linear part and the first eigenfunctions of
 the Laplacian on the covariate's range with the spectral density of a squared-exponential kernel as variances (Solin and
@@ -18,16 +18,18 @@ from ltsim.scene.sightings import Sightings
 
 CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
 MODES, LOW, FINE = 9, 4, 32
-"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again. At the shortest
-of its length scales the last one keeps a tenth to a third of the prior deviation of the first."""
+"""Number of eigenfunctions of a smooth regressor: usual, as one of several, and in the refinement. At the shortest of
+its length scales the last one has a tenth to a third of the prior deviation of the first.
+"""
 EDGE = 1.25
-"""Half-width of the interval at whose ends all eigenfunctions are zero, over that of the covariate's range: where the
-range ends a curve need not be zero."""
+"""Half-width of the interval at whose ends all eigenfunctions are zero, relative to that of the covariate: a curve need
+not be zero at the ends of the covariate's range.
+"""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
-"""Length scales by number of eigenfunctions: in half-widths of the covariate's range, round a circle in radians."""
-MEMORY = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
+"""Length scales by number of eigenfunctions, in half-widths of the covariate's range; in radians on a circle."""
+MEMORY_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings."""
-SIMPLE: dict[str, Callable[[Floats, float], Floats]] = {
+SIMPLE_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
     "cos": lambda x, k: np.cos(k * x),
@@ -44,15 +46,20 @@ SIMPLE: dict[str, Callable[[Floats, float], Floats]] = {
     "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
-"""Functions of a covariate and a constant, of which the shortest laws are made."""
+"""Functions of a covariate and a constant, from which short laws are formed."""
 HYSTERESIS = "hysteresis"
-"""Function of the values of a covariate in the order of the work, and of half the width of its loop."""
+"""Name of the function with hysteresis: of the values of a covariate in the order of measurement, and of half the width
+of its loop.
+"""
 ZERO_FRACTION = 0.02
-"""Share of its largest value up to which a column counts as zero."""
+"""Fraction of its largest value up to which an entry of a column counts as zero."""
 
 
 def has_zero(x: Floats) -> bool:
-    """True if a column rests at zero, as a load does; one that does not, a temperature say, is told from its mean."""
+    """True for a quantity with a natural zero, such as a load.
+
+    Another one, such as a temperature, is centred on its mean.
+    """
     return bool(np.nanmin(np.abs(x)) < ZERO_FRACTION * np.nanmax(np.abs(x)))
 
 
@@ -62,8 +69,8 @@ def unit_rms(column: Floats) -> Floats:
     return column / size if size > 0 else column
 
 
-OVERTONES = 5
-"""Waves of which a cycle of any shape is made."""
+HARMONICS = 5
+"""Number of harmonics of a periodic function of any shape."""
 
 
 def fourier_columns(phase: Floats, count: int) -> Floats:
@@ -90,7 +97,7 @@ def curve(name: str, x: Floats, count: int) -> Floats:
 
 @cache
 def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
-    """Prior deviations of a curve's coefficients, one set a length scale."""
+    """Prior standard deviations of the coefficients of a curve, one array per length scale."""
     spreads = []
     if circular:
         orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
@@ -103,22 +110,22 @@ def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
 
 
 def function(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
-    """A function (n, 1) of a covariate and a constant."""
+    """Function (n, 1) of a covariate and a constant."""
     x = sightings.quantities[name]
     if how == HYSTERESIS:
-        slack = play(x[sightings.order], constant)
+        slack = play_operator(x[sightings.order], constant)
         values = np.empty_like(x)
         values[sightings.order] = slack - x[sightings.order]
         return unit_rms((values - values.mean())[:, None])
     if how == "power" and name in sightings.covariates and not has_zero(x):
         x = x - x.mean()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = SIMPLE[how](x, constant)
+        values = SIMPLE_FUNCTIONS[how](x, constant)
     return unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
 
 
-def play(x: Floats, half: float) -> Floats:
-    """Output (n,) of a play operator on a sequence (n,): it follows once the input has moved by `half` the slack.
+def play_operator(x: Floats, half: float) -> Floats:
+    """Output (n,) of a play operator for a sequence (n,): it moves once the input has moved by the slack `half`.
 
     The operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
     """
@@ -131,7 +138,10 @@ def play(x: Floats, half: float) -> Floats:
 
 
 def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
-    """Constant and coordinates from the centre of some targets, or of all (n, 4); `bent` adds products (n, 10)."""
+    """Constant and coordinates relative to the centre of some or all targets (n, 4).
+
+    With `bent` also products (n, 10).
+    """
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
     ids = [i for name in around for i in sightings.target_ids[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
@@ -142,9 +152,9 @@ def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, 
 
 
 def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
-    """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far it is behind (n, 2)."""
+    """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
     x = sightings.quantities[name]
-    x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
+    x = np.abs(x) if name.startswith(MEMORY_PREFIXES) else x - x.mean()
     rows = sightings.order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
     slow = np.empty_like(x)
@@ -156,12 +166,12 @@ def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
-    """Means (n, k) of columns (n, k) over the pointings of the same group (n,)."""
+    """Mean (n, k) of columns (n, k) over the pointings with the same group number (n,)."""
     at = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = at @ ((at.T @ columns) / at.sum(axis=0)[:, None])
     return means
 
 
 def indicator_columns(what: Ints, ids: Ints | Sequence[int]) -> Floats:
-    """Indicators (n, k): 1 where something (n,) has the id (k,)."""
+    """Indicator columns (n, k): 1 where `what` (n,) equals the id (k,)."""
     return (what[:, None] == np.asarray(ids)).astype(np.float64)

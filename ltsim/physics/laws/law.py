@@ -1,6 +1,6 @@
-"""A law: a carrier that follows a driver at a place, as an effect like any other; and the shortest formulas for it.
+"""Empirical law: a response that depends on a regressor at a place, as an effect; and short formulas for it.
 
-Laws are tested, refitted and drawn like the effects of the catalogue.
+Laws are tested, refitted and plotted like the effects of the catalogue.
 """
 
 from __future__ import annotations
@@ -15,30 +15,31 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.signature import Parameter, Tunable
 from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, indicator_columns
-from ltsim.physics.laws.places import LEAST_GROUP
-from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP, is_near_several
+from ltsim.physics.laws.places import MIN_GROUP
+from ltsim.physics.laws.regressor_library import MAX_VISITS, WAVE_STEP, is_near_several
 from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, pieces, simple, smooth, switch
 from ltsim.physics.laws.responses import RESPONSES, ResponseTerm
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MOST_MEMBERS = 12
-"""Targets up to which each of a group may move by an amount of its own."""
-FACE = simple("face", "power")
-"""The sign of the face: an elevation that errs by it is the vertical index."""
-ATOMS = 41
-"""Values of a covariate between which steps and ramps are tried."""
-OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
-"""Kinds of carriers that may do the same at every set-up, each in its own way."""
-ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Angles of which sines, cosines and tangents are tried."""
-SWITCHED = 60
-"""Times between which a switch is tried."""
-MOVED, NEAR = 4, 6
-"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
-nearer to each other they are not set, for a few pointings make no law."""
-SCALED = (
+MAX_MEMBERS = 12
+"""Largest number of targets in a group whose motions may differ from each other."""
+FACE_SIGN = simple("face", "power")
+"""Regressor with the sign of the face: an elevation error proportional to it is the vertical index."""
+MAX_ATOM_VALUES = 41
+"""Largest number of values of a covariate at which steps and ramps are tried."""
+SET_UP_KINDS = ("reading", "instrument", "circle", "stand")
+"""Kinds of responses that may differ between set-ups in size."""
+ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+"""Angles whose sines, cosines and tangents are tried."""
+MAX_SWITCH_TIMES = 60
+"""Largest number of times at which a switch is tried."""
+MAX_MOVED_PIECES, PIECE_MOVES = 4, 6
+"""Largest number of steps and ramps that are moved individually, and the number of gaps between covariate values by
+which they move; it is also the smallest distance between them, since a few pointings do not determine a law.
+"""
+SCALED_FUNCTIONS = (
     "decay",
     "fading",
     "relaxing",
@@ -52,18 +53,18 @@ SCALED = (
     FADES,
     FORGETS,
 )
-"""Functions and kinds with a constant that is known to a factor at first."""
+"""Functions and kinds whose constant is first determined to within a factor."""
 THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
-"""Moves of the thresholds of a latch, as shares of the span of its covariate."""
-SAWS = np.array([1.0, 0.5, 0.25, 0.125])
-"""Periods of saw teeth over a covariate's span."""
-OF_SPAN = np.array([0.05, 0.15, 0.5])
-"""Constants of decays and saturations, as a share of a covariate's span."""
+"""Moves of the thresholds of a latch, as fractions of the span of its covariate."""
+SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
+"""Periods of saw-tooth functions, as fractions of a covariate's span."""
+SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
+"""Constants of decays and saturations, as fractions of a covariate's span."""
 
 
 @dataclass(frozen=True)
 class Law(Tunable):
-    """A carrier that follows a driver, perhaps at some stations, targets, or one instrument's stations only.
+    """Empirical law: a response that depends on a regressor, optionally at some stations or targets only.
 
     Attributes
     ----------
@@ -100,12 +101,12 @@ class Law(Tunable):
 
     @property
     def observables(self) -> tuple[str, ...]:
-        """Observables that the law acts on."""
+        """Observables that the law changes."""
         return self.carrier.observables or OBSERVABLES
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Quantities that the law depends on, in the words of the interface."""
+        """Covariates that the law depends on, as named in files."""
         return self.driver.covariate_labels
 
     def design(self, sightings: Sightings) -> Floats:
@@ -115,7 +116,10 @@ class Law(Tunable):
         return design.reshape(len(sightings), 3, -1)
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Regressors (n, k) of each component of the carrier, zero at other places; (n, S k) for separate set-ups."""
+        """Regressor columns (n, k) of each component of the response, zero at other places.
+
+        (n, S k) for separate set-ups.
+        """
         columns = self.driver.columns(sightings, moving=self.carrier.kind == "target")
         columns = columns * self.mask(sightings)[:, None]
         if not self.each:
@@ -124,34 +128,45 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     @property
+    def is_in_the_hall(self) -> bool:
+        """True if it follows a region of the hall at all times."""
+        return self.driver.region is not None
+
+    def at_all_times(self) -> Law:
+        """The law of a region without its switch."""
+        first, *others = self.driver.factors or (self.driver,)
+        gated = first.region is not None and [f.kind for f in others] == ["switch"]
+        return replace(self, driver=first) if gated else self
+
+    @property
     def source_position(self) -> tuple[float, ...]:
-        """Centre [m] of the region of the hall that it follows."""
-        return self.driver.region.centre if self.driver.region else ()
+        """Centre [m] of the region of the hall on which the law depends; empty if there is none."""
+        return self.driver.hall_region.centre if self.driver.hall_region else ()
 
     @property
     def hall_axes(self) -> str:
-        """Axes of these coordinates."""
-        return self.driver.region.axes if self.driver.region else ""
+        """Axes of the coordinates of `source_position`."""
+        return self.driver.hall_region.axes if self.driver.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> Law:
-        """The law with its region elsewhere."""
-        region = self.driver.region
+        """Copy of the law with another region."""
+        region = self.driver.hall_region
         return self if region is None else replace(self, driver=self.driver.through(replace(region, centre=centre)))
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried first, edges and constants around one."""
+        """Neighbouring laws: rates between those tried first, and edges and constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if (driver.kind == "pieces" and len(driver.factors) <= MOVED) or driver.kind == "switch":
+        if (driver.kind == "pieces" and len(driver.factors) <= MAX_MOVED_PIECES) or driver.kind == "switch":
             return self._with_moved_pieces(sightings)
-        if driver.region is not None:
-            near = driver.kind == "near"
-            moved = [r for r in driver.region.neighbours() if not near or is_near_several(r, sightings)]
+        if driver.hall_region is not None:
+            near = any(f.kind == "near" for f in (driver, *driver.factors))
+            moved = [r for r in driver.hall_region.neighbours() if not near or is_near_several(r, sightings)]
             return [replace(self, driver=driver.through(region)) for region in moved]
-        if driver.function in SCALED or driver.kind in SCALED:
+        if driver.function in SCALED_FUNCTIONS or driver.kind in SCALED_FUNCTIONS:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         if driver.kind == "latch":
             return self._with_moved_thresholds(sightings)
@@ -160,7 +175,7 @@ class Law(Tunable):
         return []
 
     def _with_moved_thresholds(self, sightings: Sightings) -> list[Law]:
-        """The law with one threshold of its latch elsewhere."""
+        """Laws with one threshold of the latch moved."""
         driver = self.driver
         steps = np.ptp(sightings.quantities[driver.covariates[0]]) * THRESHOLD_STEPS
         moved = [replace(driver, constant=driver.constant + float(step)) for step in steps]
@@ -168,39 +183,39 @@ class Law(Tunable):
         return [replace(self, driver=d) for d in moved if d.released < d.constant]
 
     def _with_moved_pieces(self, sightings: Sightings) -> list[Law]:
-        """The law with one of its steps and ramps at another gap between the values of their covariate."""
+        """Laws with one step or ramp moved to another gap between the values of its covariate."""
         factors = self.driver.factors
         x = np.unique(sightings.quantities[self.driver.covariates[0]][self.mask(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in factors])
         laws = []
         for i, piece in enumerate(factors):
-            for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
-                if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) >= NEAR:
+            for k in range(max(gaps[i] - PIECE_MOVES, 1), min(gaps[i] + PIECE_MOVES, len(x) - 1) + 1):
+                if np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVES) >= PIECE_MOVES:
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
                     laws.append(self._of_steps([*factors[:i], moved, *factors[i + 1 :]]))
         return laws
 
     def formulas(self, sightings: Sightings) -> list[Law]:
-        """Short laws that a smooth one may turn out to be."""
+        """Short formulas that may replace a smooth law."""
         if self.driver.kind == "smooth":
-            return [replace(self, driver=d, scale=0) for d in _short(sightings, self.driver.covariates[0])]
+            return [replace(self, driver=d, scale=0) for d in _short_regressors(sightings, self.driver.covariates[0])]
         if self.driver.function == "decay":
             return [replace(self, driver=replace(self.driver, function="relaxing"))]
         if self.driver.kind != "product":
             return []
         options = [
-            list(_short(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
+            list(_short_regressors(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
             for f in self.driver.factors
         ]
         return [replace(self, driver=Regressor("product", factors=factors), scale=0) for factors in product(*options)]
 
     def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
-        """Forms that a law may approximate, by kind, each with its scales: the curve, short formulas, a finer curve."""
+        """Forms that the law may have, by kind, each with its scales: the curve, short formulas, a finer curve."""
         driver, forms = self.driver, {"curve": [self], "formula": self.formulas(sightings)}
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             forms["fine"] = [replace(self, driver=finer)]
-        if LEAST_GROUP <= len(self.targets) <= MOST_MEMBERS and self.carrier.kind == "target":
+        if MIN_GROUP <= len(self.targets) <= MAX_MEMBERS and self.carrier.kind == "target":
             forms["members"] = [replace(self, driver=driver.per_target(self.targets), scale=0)]
         if driver.kind == "wave":
             forms["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
@@ -211,20 +226,22 @@ class Law(Tunable):
         }
 
     def atoms(self, sightings: Sightings) -> list[Regressor]:
-        """Steps and ramps of which a smooth driver may be made instead."""
+        """Steps and ramps that may replace a smooth regressor."""
         curved = [f for f in (self.driver, *self.driver.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []
         name = curved[0].covariates[0]
         x = np.unique(sightings.quantities[name][self.mask(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, ATOMS).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_ATOM_VALUES).round().astype(int))]
         edges = 0.5 * (x[1:] + x[:-1])
         return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def in_pieces(self, steps: Sequence[Regressor]) -> Law:
-        """The law with steps and ramps in the place of its smooth driver."""
+        """Copy of the law with steps and ramps in place of its smooth regressor, or as factors of that of a region."""
         made, driver = pieces(steps), self.driver
-        if driver.kind == "product":
+        if driver.region is not None:
+            made = Regressor("product", factors=(driver, made))
+        elif driver.kind == "product":
             made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
         return replace(self, driver=made, scale=0)
 
@@ -232,21 +249,24 @@ class Law(Tunable):
         return self.switched(steps) if self.driver.kind == "switch" else self.in_pieces(steps)
 
     def edges(self, sightings: Sightings) -> list[Regressor]:
-        """Times at which something may be switched, where the law follows the clock alone."""
-        if self.driver.covariates != ("time",) or self.driver.kind not in ("smooth", "wave"):
+        """Times at which a switch may act, for a law that depends on time alone or on a region of the hall."""
+        follows_clock = self.driver.covariates == ("time",) and self.driver.kind in ("smooth", "wave")
+        if not follows_clock and not self.is_in_the_hall:
             return []
         x = np.unique(sightings.time[self.mask(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, SWITCHED).round().astype(int))]
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_TIMES).round().astype(int))]
         return [simple("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def switched(self, edges: Sequence[Regressor]) -> Law:
-        """The law with a switch in the place of its driver."""
-        return replace(self, driver=switch(edges), scale=0)
+        """Copy of the law with a switch as its regressor; that of a region is multiplied by the switch."""
+        gate = switch(edges)
+        driver = gate if not self.is_in_the_hall else Regressor("product", factors=(self.driver, gate))
+        return replace(self, driver=driver, scale=0)
 
     def as_constant(self, sightings: Sightings) -> Law:
-        """The vertical index in place of an elevation that errs as one.
+        """Law of the vertical index that is equivalent to this law of the elevation; the law itself if there is none.
 
-        It does where it changes sign with the face, or on a single face whatever is pointed at.
+        It is equivalent if the error changes sign with the face, or is constant on a single face.
         """
         if self.carrier.name != "elevation":
             return self
@@ -256,21 +276,21 @@ class Law(Tunable):
         if single_face and names <= {*CLOCKS, *sightings.covariates}:
             return replace(self, carrier=index)
         face, *rest = driver.factors or (driver, CONSTANT)
-        return replace(self, carrier=index, driver=rest[0]) if face == FACE and len(rest) == 1 else self
+        return replace(self, carrier=index, driver=rest[0]) if face == FACE_SIGN and len(rest) == 1 else self
 
     def at_each(self, sightings: Sightings) -> Law | None:
-        """The law with coefficients of its own for each set-up, where that can be."""
+        """Law with separate coefficients for each set-up; None if that is not possible."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.driver.kind in ("product", "amounts") or self.carrier.kind not in OF_A_SET_UP
+        once = self.driver.kind in ("product", "amounts") or self.carrier.kind not in SET_UP_KINDS
         if confined or once or len(stations) < 2:
             return None
-        return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
+        return replace(self, stations=stations, each=True) if len(stations) <= MAX_VISITS else None
 
     def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
         """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance.
 
-        The main direction of components with units of their own is one of them.
+        For components with different units the main direction is one of the components.
         """
         ways, k = len(self.carrier.ways), self.driver.size
         shape = (ways, len(mean) // (ways * k), k)
@@ -289,19 +309,19 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
-def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
-    """Short drivers in a covariate; `few` where several are tried together."""
-    times = OF_SPAN * float(np.ptp(sightings.quantities[name]))
+def _short_regressors(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
+    """Short regressors in a covariate; fewer (`few`) if several covariates are tried together."""
+    times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR
     if circular:
         for order in range(1, 4 if few else 7):
             yield Regressor("wave", (name,), constant=float(order))
     tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
-    if name in ANGULAR and not (circular and few):
+    if name in ANGULAR_COVARIATES and not (circular and few):
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     tried += [("decay", times)] if name == "lapse" else []
     if not few:
-        tried.append(("saw", SAWS * float(np.ptp(sightings.quantities[name]))))
+        tried.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
         tried += [("decay", times)] if name in CLOCKS else []
         tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []

@@ -1,4 +1,4 @@
-"""Places where a law may act: set-ups, targets, and targets that belong together."""
+"""Places at which a law may act: set-ups, targets, and groups of related targets."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from scipy.sparse.csgraph import connected_components
 from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
-NEIGHBOURS = (3, 6)
-"""Targets around one that may move with it."""
+NEIGHBOUR_COUNTS = (3, 6)
+"""Numbers of nearest targets that may move together with a target."""
 Z_WEIGHT = 5.0
-"""Weight of heights in the tree of levels: a fifth of the room up counts as much as a surface turned by 60 deg."""
-LEAST_GROUP = 3
-"""Targets of a group, and targets beside it, at least."""
+"""Weight of heights in the clustering by levels: a fifth of the room's height is equivalent to surfaces at 60 deg."""
+MIN_GROUP = 3
+"""Smallest number of targets in a group, and of targets outside it."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Place:
     instruments: tuple[str, ...] = ()
 
 
-def each(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
-    """Names with their pointings, where they have any."""
+def named_rows(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+    """Pairs of name and pointings, for names that have pointings."""
     rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
     return (pair for pair in rows if len(pair[1]))
 
@@ -41,17 +41,18 @@ def stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
 
 
 def trackers_of(s: Sightings, names: Sequence[str]) -> tuple[Place, ...]:
-    """The set-ups of each of several instruments."""
-    places = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in each(names, s.instrument))
+    """Places of several instruments, each with all set-ups of one."""
+    places = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in named_rows(names, s.instrument))
     return places if len(places) > 1 else ()
 
 
 def clusters(s: Sightings) -> set[tuple[int, ...]]:
-    """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
+    """Groups of related targets: by position, and by the surface or level on which they are mounted.
 
-    These are the branches of three trees (average linkage); a surface is known by where its nests look.
+    The groups are the branches of three cluster trees (average linkage); a surface is identified by the normals of its
+    nests.
     """
-    if len(s.points) < 2 * LEAST_GROUP:
+    if len(s.points) < 2 * MIN_GROUP:
         return set()
     look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
     groups = set()
@@ -59,18 +60,18 @@ def clusters(s: Sightings) -> set[tuple[int, ...]]:
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
             tree.append(sorted(tree[first] + tree[second]))
-        groups |= {tuple(b) for b in tree if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
+        groups |= {tuple(b) for b in tree if MIN_GROUP <= len(b) <= len(features) - MIN_GROUP}
     return groups
 
 
 def neighbour_groups(s: Sightings) -> set[tuple[int, ...]]:
-    """Groups of a target and the few that stand nearest to it."""
+    """Groups of a target and its nearest neighbours."""
     near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
-    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_COUNTS if 2 * k < len(n)}
 
 
 def connected_groups(s: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
-    """Targets that known lengths between them join to one body: a gauge."""
+    """Groups of targets that are connected by reference lengths, such as on a gauge."""
     index = {name: i for i, name in enumerate(s.target_names)}
     pairs = [(index[a], index[b]) for a, b in lengths if a in index and b in index]
     if not pairs:
@@ -78,11 +79,11 @@ def connected_groups(s: Sightings, lengths: Iterable[tuple[str, str]]) -> set[tu
     count, (first, second) = len(index), np.array(pairs).T
     _, body = connected_components(sp.coo_array((np.ones(len(pairs)), (first, second)), (count, count)), directed=False)
     members = [tuple(np.flatnonzero(body == k).tolist()) for k in np.unique(body)]
-    return {group for group in members if LEAST_GROUP <= len(group) <= count - LEAST_GROUP}
+    return {group for group in members if MIN_GROUP <= len(group) <= count - MIN_GROUP}
 
 
 def group_places(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
-    """Places of some targets, with pointings to them."""
+    """Places for groups of targets, with the pointings to them."""
     for members in sorted(sets):
         rows = np.flatnonzero(np.isin(s.target, members))
         if len(rows):

@@ -1,4 +1,4 @@
-"""Drivers: what a carrier may follow, each as a few columns over the pointings with a prior on their coefficients."""
+"""Regressors: functions on which a response may depend, each as a few columns over the pointings with a prior."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.laws.columns import (
     CIRCULAR,
-    MEMORY,
+    HARMONICS,
+    MEMORY_PREFIXES,
     MODES,
-    OVERTONES,
     curve,
     curve_spreads,
     field,
@@ -46,27 +46,27 @@ WORDS = {
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
-"""Names of the interface for covariates that have others here."""
+"""Names of covariates in files, for those with another name here."""
 
 
 POINTED = ("azimuth", "elevation", "distance", "target")
 
 
 def base_of(name: str) -> str:
-    """The quantity that an operator on the order of the work is applied to."""
+    """Quantity to which an operator on the order of measurement is applied."""
     how, _, base = name.partition("-")
-    return base if base and f"{how}-" in MEMORY else name
+    return base if base and f"{how}-" in MEMORY_PREFIXES else name
 
 
 def words_of(names: Iterable[str]) -> tuple[str, ...]:
-    """Covariates in the words of the interface: how the head came to a pointing is the approach."""
+    """Names of covariates as in files; previous motions of the head are called approach."""
     memory = {name for name in names if name == "lapse" or (base_of(name) != name and base_of(name) in POINTED)}
     return tuple(dict.fromkeys("approach" if n in memory else WORDS.get(base_of(n), base_of(n)) for n in names))
 
 
 @dataclass(frozen=True)
 class Regressor:
-    """Regressor (driver) on which a response (carrier) depends.
+    """Regressor: the function on which a response depends.
 
     Attributes
     ----------
@@ -105,10 +105,10 @@ class Regressor:
     released: float = 0.0
 
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
-        """Columns (n, k), each of rms about one over the pointings.
+        """Columns (n, k) over the pointings, each with an rms of about one.
 
-        Coordinates are those of some moment: what is `moving` is where it says at the start of the work, or while a
-        column of the recording is at its zero, and where there is no such moment in the mean of the work.
+        Coordinates refer to one moment: an object that is `moving` has them at the start of the measurement, or while a
+        column of the recording is zero. Without such a moment they are the mean over the measurement.
         """
         columns = self._columns(sightings, moving)
         if not moving or self.kind in ("constant", "field", "amounts", "product"):
@@ -117,7 +117,7 @@ class Regressor:
         return unit_rms(columns) if self.kind == "simple" else columns
 
     def _resting(self, sightings: Sightings) -> Bools:
-        """The pointings (n,) at which what moves is where its coordinates say."""
+        """Flags (n,) of the pointings at which moving objects have their reference coordinates."""
         every = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -167,7 +167,7 @@ class Regressor:
         return region.lever(sightings) if self.function == LEVER else region.path(sightings)
 
     def _owners(self, sightings: Sightings) -> tuple[Ints, Ints]:
-        """Station, instrument or target (n,) whose amount each pointing has, and those (k,) that have an amount."""
+        """Index (n,) of the station, instrument or target of each pointing, and the indices (k,) with an amount."""
         if self.covariates == ("station",):
             return sightings.station, np.unique(sightings.station)
         if self.covariates == ("instrument",):
@@ -187,16 +187,19 @@ class Regressor:
             elif factor.kind == "smooth":
                 part = np.hstack([np.ones((len(part), 1)), part])
             product = (product[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
-        return product
+        return unit_rms(product) if self.hall_region and product.shape[1] == 1 else product
 
     @property
     def is_per_instrument(self) -> bool:
-        """True if each instrument has a curve of its own, about its mean: constants are estimated anyhow."""
+        """True if each instrument has a separate curve about its mean.
+
+        Constants belong to the ordinary calibration.
+        """
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property
     def spreads(self) -> tuple[Floats, ...]:
-        """Prior standard deviations (k,) of the coefficients, one set a length scale."""
+        """Prior standard deviations (k,) of the coefficients, one array per length scale."""
         match self.kind:
             case "constant" | "simple" | "passage" | "near" | "state" | "latch" | "switch":
                 return (np.ones(1),)
@@ -205,7 +208,7 @@ class Regressor:
             case "amounts" | "pieces":
                 return (np.ones(int(self.constant)),)
             case "cycle":
-                return (np.repeat(1.0 / np.arange(1, OVERTONES + 1), 2) / np.sqrt(2.0),)
+                return (np.repeat(1.0 / np.arange(1, HARMONICS + 1), 2) / np.sqrt(2.0),)
             case "field":
                 spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
                 return (spread / np.linalg.norm(spread),)
@@ -218,19 +221,27 @@ class Regressor:
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
+    @property
+    def hall_region(self) -> Region | None:
+        """Region of the hall on which the regressor, or one of its factors, depends."""
+        return next((f.region for f in (self, *self.factors) if f.region is not None), None)
+
     def through(self, region: Region) -> Regressor:
-        """The driver with another region."""
+        """Copy of the regressor with another region."""
+        if self.region is None:
+            factors = tuple(f.through(region) if f.region is not None else f for f in self.factors)
+            return replace(self, factors=factors)
         return replace(self, region=region, covariates=tuple(region.axes))
 
     def centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """The driver with the field of some targets in the place of that of the room."""
+        """Copy of the regressor with a field centred on some targets."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """The driver with another amount for each of some targets."""
+        """Copy of the regressor with separate amounts for some targets."""
         followed = [f for f in self.factors or (self,) if f.kind != "field"]
         each = amounts("target", len(targets), targets)
         return Regressor("product", factors=(*followed, each))
@@ -242,7 +253,7 @@ class Regressor:
 
     @property
     def covariate_labels(self) -> tuple[str, ...]:
-        """Quantities that it depends on, in the words of the interface."""
+        """Covariates that it depends on, as named in files."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return words_of(names)
 
@@ -252,56 +263,60 @@ PLACE = ("x", "y", "z")
 
 
 def across_the_room(drivers: Sequence[Regressor], order: int) -> list[Regressor]:
-    """Drivers whose size may grow across the room, or bend with it."""
+    """Regressors whose amount may vary linearly or quadratically across the room."""
     grows = Regressor("field", PLACE, constant=order)
     return [Regressor("product", factors=(driver, grows)) for driver in drivers]
 
 
 def simple(name: str, function: str, constant: float = 1.0) -> Regressor:
-    """A driver with one column."""
+    """Regressor with one column."""
     return Regressor("simple", (name,), function, constant)
 
 
 LEVER = "lever"
-"""Function of a passage whose parts turn a line of sight: an angle at a part of the line moves its end by the line
-beyond, so that the direction to the end changes by the share of the line beyond."""
+"""Function name of a passage whose parts deflect a line of sight: a deflection at a point moves the end of the line in
+proportion to the remaining length, so that the direction changes by the remaining fraction.
+"""
 
 
 def passage(region: Region, function: str = "") -> Regressor:
-    """A driver that is the length of the line of sight in a region of the hall, or its lever."""
+    """Regressor with the length of the line of sight in a region of the hall, or its lever."""
     return Regressor("passage", tuple(region.axes), function, region=region)
 
 
 def near(region: Region) -> Regressor:
-    """A driver that is 1 for targets at the middle of a region, and less the farther they are from it."""
+    """Regressor that is 1 for targets at the centre of a region and decreases with their distance from it."""
     return Regressor("near", tuple(region.axes), region=region)
 
 
 def memory(name: str, function: str, constant: float) -> Regressor:
-    """A state of each set-up to which the changes of a quantity add."""
+    """State of each set-up that accumulates the changes of a quantity."""
     return Regressor("state", (name,), function, constant)
 
 
 def latch(name: str, above: float, below: float) -> Regressor:
-    """A driver that is set where a quantity rises above a threshold, and released where it falls below another."""
+    """Regressor that switches on above one threshold of a quantity and off below another."""
     return Regressor("latch", (name,), constant=above, released=below)
 
 
 def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Regressor:
-    """Another amount for each `station`, `instrument`, `target`, or `last-target`; of some targets only."""
+    """Separate amounts for each `station`, `instrument`, `target` or `last-target`.
+
+    Optionally for some targets only.
+    """
     return Regressor("amounts", (of,), constant=count, around=targets)
 
 
 def pieces(steps: Sequence[Regressor]) -> Regressor:
-    """A driver that is the sum of steps and ramps of one covariate, of any sizes."""
+    """Sum of steps and ramps of one covariate, with independent sizes."""
     return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
 
 
 def switch(edges: Sequence[Regressor]) -> Regressor:
-    """A driver that is on from the first, third ... of some steps to the next, and off elsewhere."""
+    """Regressor that is alternately on and off between the given steps, starting with on."""
     return Regressor("switch", edges[0].covariates, factors=tuple(edges))
 
 
 def smooth(name: str, modes: int = MODES) -> Regressor:
-    """A smooth driver."""
+    """Smooth regressor (Gaussian process) of a covariate."""
     return Regressor("smooth", (name,), constant=modes)

@@ -1,8 +1,8 @@
-"""Carriers: what the forward model knows, and how a reading changes when it does.
+"""Responses: quantities of the forward model that may change, and the derivatives of readings with respect to them.
 
-Each is a derivative of the readings: of the instrument's constants along the kinematic chain, of a stand that turns or
-moves, of the targets' coordinates, of the air, of the reflector; and, when nothing physical carries a mismatch, a
-reading itself. What moves in space does so in any direction, which is one carrier and not three.
+They are the instrument's constants along the kinematic chain, rotation and translation of a stand, coordinates of
+targets, air, reflector and, if no physical quantity explains a mismatch, a reading itself. A motion in space in any
+direction is one response, not three.
 """
 
 from collections.abc import Callable
@@ -26,12 +26,14 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 ANGLE, LENGTH, STRAIN, MOTION = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM, 30 * MICROMETRE
-"""Plausible sizes: what a good instrument leaves of an angle, a length, a scale; what walls and floors move by."""
+"""Plausible sizes of remaining errors of a good instrument (angle, length, scale), and of motions
+of walls and floors.
+"""
 
 
 @dataclass(frozen=True)
 class ResponseTerm:
-    """Quantity of the forward model that an effect may change.
+    """Response: quantity of the forward model that an effect may change.
 
     Attributes
     ----------
@@ -62,7 +64,7 @@ class ResponseTerm:
     units: tuple[str, ...] = ()
 
     def display(self, way: int) -> tuple[str, float]:
-        """Unit of a component, and the factor from its coefficient [SI] to that unit."""
+        """Unit of a component, and factor from its coefficient [SI] to that unit."""
         unit, scale = (self.units[way], self.scales[way]) if self.units else (self.unit, 1.0)
         return unit, scale / FACTOR[unit]
 
@@ -75,14 +77,14 @@ _SLOTS = {
     "beam-vertical": ResponseTerm("vertical beam offset", "um", LENGTH, ("elevation",)),
     "beam-tilt": ResponseTerm("beam tilt", "urad", ANGLE, ("azimuth",)),
 }
-"""Slots of the kinematic chain."""
+"""Responses that are slots of the kinematic chain."""
 _CIRCLES = {
     ResponseTerm(
         f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, "circle", ("cosine", "sine")
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Circles whose centre is off the axis that they turn about."""
+"""Responses of circles whose centre is off their axis."""
 _READINGS = tuple(
     ResponseTerm(
         name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading"
@@ -104,12 +106,12 @@ _TOGETHER = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Several observables that follow the same driver, each with a coefficient of its own."""
+"""Responses of several observables that depend on the same regressor, each with a separate coefficient."""
 _SCALE = ResponseTerm("range scale", "ppm", STRAIN, ("distance",))
 
 
 def constants_in(slot: str) -> tuple[str, ...]:
-    """The constants of the ordinary calibration that are a slot of the chain."""
+    """Constants of the ordinary calibration that act on a slot of the chain."""
     return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == Term(slot))
 
 
@@ -118,7 +120,7 @@ VARIED = (
     | {carrier.name: tuple(p.name for p in effect.parameters) for carrier, effect in _CIRCLES.items()}
     | {"distance": constants_in("range"), _SCALE.name: ("range-scale",)}
 )
-"""The constants of the ordinary calibration that a carrier varies."""
+"""Constants of the ordinary calibration that a response varies, by response."""
 _LEAN = ResponseTerm("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
 _STAND = ResponseTerm("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
 _TARGETS = ResponseTerm("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
@@ -174,15 +176,15 @@ def _registry() -> dict[str, tuple[ResponseTerm, Derivative]]:
 
 
 RESPONSES = _registry()
-"""Every carrier by name with the change (n, 3, c) of the raw readings per unit of each of its components."""
+"""Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each component."""
 _NEED_NESTS = {_NORMAL.name, _VERTEX.name}
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[ResponseTerm, Floats]]:
-    """Carriers by name with their designs (n, 3, c); one that equals an earlier one is left out.
+    """Responses by name with their designs (n, 3, c), without duplicates.
 
-    On a single face the vertical index is the elevation, say. A target that moves looks like a stand that does, but
-    they follow different things.
+    On a single face, for example, the vertical index equals the elevation. A moving target and a moving stand have
+    equal designs but different regressors.
     """
     designs: dict[str, tuple[ResponseTerm, Floats]] = {}
     nests = bool(np.isfinite(sightings.nest_normal).any())

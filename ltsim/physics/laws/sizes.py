@@ -1,4 +1,4 @@
-"""Sizes of a law as a person reads them: value, standard deviation and unit."""
+"""Sizes of a law for display: value, standard deviation and unit."""
 
 from typing import NamedTuple
 
@@ -19,10 +19,10 @@ class Size(NamedTuple):
 
 
 def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Size, ...]:
-    """Amplitude and phase of a wave, the size of a constant, how far a curve swings and its rms over the pointings.
+    """Sizes of a law: amplitude and phase of a wave, a constant, or range and rms of a curve over the pointings.
 
-    Of what moves in space each component, at the set-up where it moves farthest. The coefficients have a `mean` (k,)
-    and a `covariance` (k, k) [SI].
+    For a motion in space all components are given, at the set-up with the largest motion. The coefficients have a
+    `mean` (k,) and a `covariance` (k, k) [SI].
     """
     law, way, means, spread = law.along(mean, covariance, sightings)
     ways = law.carrier.ways

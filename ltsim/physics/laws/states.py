@@ -1,11 +1,10 @@
-"""States of a set-up: what pointings add up, forget, and lose when something releases it.
+"""States of a set-up: quantities that accumulate over pointings, decay, and are reset by events.
 
-In the order of the work of a set-up a state follows s_i = k_i s_(i-1) + u_i. The input u_i is the change of a quantity
-that adds up (the clock, the number of pointings, the ways that the axes have turned); k_i is 1, less than 1 where the
-state fades with time or with the number of pointings, and 0 where an event releases it: a change of face or of the
-target, an axis that turns back, a pause, a long move, every so many pointings. A latch is set where a quantity rises
-above one threshold and released where it falls below another (a relay; Krasnosel'skii and Pokrovskii, Systems with
-hysteresis, 1989).
+In the order of measurement of a set-up a state is s_i = k_i s_(i-1) + u_i. The input u_i is the change of a quantity
+that adds up (the clock, the number of pointings, the ways that the axes have turned); k_i is 1, less than 1 if the
+state decays with time or with the number of pointings, and 0 if an event resets it: a change of face or of the target,
+an axis that turns back, a pause, a long move, every so many pointings. A latch is set when a quantity rises above one
+threshold and reset when it falls below another (a relay; Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,73 +16,74 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
 INPUTS = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
-"""Quantities whose changes add up in a state."""
+"""Quantities whose changes accumulate in a state."""
 EVENTS = ("face", "seating", "azimuth", "elevation")
-"""Changes that release a state: of the face, of the target, of the direction in which an axis turns."""
+"""Changes that reset a state: of the face, of the target, of the direction of an axis."""
 LIMITS = ("pause", "slew", "tip")
-"""Quantities of a pointing that release a state where they are above a limit: the time since the pointing before, the
-moves of azimuth and elevation."""
+"""Quantities of a pointing that reset a state above a limit: time since the previous pointing, motion in azimuth,
+motion in elevation.
+"""
 FADES, FORGETS = "fades", "forgets"
-"""Functions of states that fade with time, and with the number of pointings."""
+"""Functions of states that decay with time, and with the number of pointings."""
 EVERY = "every"
-"""Function of states that are released at every so many pointings."""
+"""Function of states that are reset after a fixed number of pointings."""
 QUANTILES = (0.6, 0.8, 0.92)
 """Limits that are tried, as quantiles of the quantity."""
-SPANS = (0.03, 0.1, 0.3)
-"""Time constants of fading states over the time of a set-up."""
-POINTINGS = (2.0, 4.0, 8.0)
-"""Numbers of pointings in which a state fades by a factor of e."""
-COUNTED = ("station-time", "count")
-"""Inputs of states that are released at every so many pointings."""
-COUNTS = range(3, 31)
-"""Numbers of pointings after which a state is released."""
-LATCHES = (0.2, 0.35, 0.5, 0.65, 0.8)
+DECAY_FRACTIONS = (0.03, 0.1, 0.3)
+"""Time constants of decaying states, as fractions of the duration of a set-up."""
+DECAY_POINTINGS = (2.0, 4.0, 8.0)
+"""Numbers of pointings in which a state decays by a factor of e."""
+COUNTED_INPUTS = ("station-time", "count")
+"""Inputs of states that are reset after a fixed number of pointings."""
+RESET_COUNTS = range(3, 31)
+"""Numbers of pointings after which a state is reset."""
+LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that are tried, as quantiles of the quantity."""
-LEAST_RELEASES = 2
-"""Smallest number of releases within set-ups: a state that fewer release is the sum itself."""
-LEAST_SPAN = 1e-6
-"""Smallest span of a state, over that of its input: the noise of readings is no state."""
+MIN_RELEASES = 2
+"""Smallest number of resets within set-ups: a state with fewer is nearly the sum itself."""
+MIN_SPAN = 1e-6
+"""Smallest span of a state, relative to that of its input; below it the state is noise of the readings."""
 State = tuple[str, str, float]
-"""Input, function, and its constant: a limit, a time constant [s], or a number of pointings."""
+"""State as a tuple: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
 
 def states_of(sightings: Sightings, inputs: Sequence[str]) -> list[State]:
-    """Every state that is tried with some inputs; their columns are kept with the sightings."""
+    """All states that are tried with some inputs; their columns are cached with the sightings."""
     functions = list(_functions(sightings))
-    states = [(name, how, k) for name in inputs for how, k in functions if how != EVERY or name in COUNTED]
-    _keep(sightings, states)
-    least = {name: LEAST_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    states = [(name, how, k) for name in inputs for how, k in functions if how != EVERY or name in COUNTED_INPUTS]
+    _cache_states(sightings, states)
+    least = {name: MIN_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
     return [key for key in states if np.ptp(sightings.derived[key]) > least[key[0]]]
 
 
 def _functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
-    """Releases and kinds of fading that differ in these sightings, with their constants."""
+    """Pairs of function and constant whose resets or decays differ in these sightings."""
     stay = float(np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)]))
-    yield from ((FADES, stay * share) for share in SPANS if stay > 0.0)
-    yield from ((FORGETS, number) for number in POINTINGS)
+    yield from ((FADES, stay * share) for share in DECAY_FRACTIONS if stay > 0.0)
+    yield from ((FORGETS, number) for number in DECAY_POINTINGS)
     offered = [(f"after {name}", 1.0) for name in EVENTS]
     for name in LIMITS:
         x = _limited(sightings, name)
         offered += (
             [(f"after {name}", float(k)) for k in np.unique(np.quantile(x[x > 0.0], QUANTILES))] if x.any() else []
         )
-    offered += [(EVERY, float(number)) for number in COUNTS]
+    offered += [(EVERY, float(number)) for number in RESET_COUNTS]
     for how, k in offered:
-        releases = int(_released(sightings, how, k).sum())
-        if LEAST_RELEASES <= releases < len(sightings) - len(np.unique(sightings.station)) - LEAST_RELEASES:
+        releases = int(_resets(sightings, how, k).sum())
+        if MIN_RELEASES <= releases < len(sightings) - len(np.unique(sightings.station)) - MIN_RELEASES:
             yield how, k
 
 
 def state(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
-    """A state (n,) about its mean."""
+    """State (n,) less its mean."""
     key: State = name, how, constant
-    _keep(sightings, [key])
+    _cache_states(sightings, [key])
     values: Floats = sightings.derived[key]
     return values
 
 
 def latch(sightings: Sightings, name: str, above: float, below: float) -> Floats:
-    """1 where a quantity was above one threshold later than below the other, else 0, (n,), about its mean."""
+    """Latch (n,), 1 if a quantity was above one threshold later than below the other, else 0, less its mean."""
     x, rows = sightings.quantities[name], sightings.by_set_up
     event = np.where(x > above, 1.0, np.where(x < below, 0.0, np.nan))[rows]
     first = sightings.previous[rows] < 0
@@ -95,22 +95,22 @@ def latch(sightings: Sightings, name: str, above: float, below: float) -> Floats
 
 
 def latches_of(sightings: Sightings, names: Iterable[str]) -> list[tuple[str, float, float]]:
-    """Quantities with pairs of thresholds, the upper one first, between which some pointings lie."""
+    """Quantities with pairs of thresholds, the upper one first, for which some pointings lie between them."""
     latches = []
     for name in names:
-        thresholds = np.unique(np.quantile(sightings.quantities[name], LATCHES))
+        thresholds = np.unique(np.quantile(sightings.quantities[name], LATCH_QUANTILES))
         latches += [(name, float(above), float(below)) for below, above in combinations(thresholds, 2)]
     return latches
 
 
 def _limited(sightings: Sightings, name: str) -> Floats:
-    """Quantity (n,) that a limit is set on."""
+    """Quantity (n,) to which a limit applies."""
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[name]
     return np.abs(sightings.quantities[quantity])
 
 
-def _released(sightings: Sightings, how: str, constant: float) -> Bools:
-    """Pointings (n,) at which a state is released, beside the first of a set-up."""
+def _resets(sightings: Sightings, how: str, constant: float) -> Bools:
+    """Flags (n,) of the pointings at which a state is reset, except the first one of a set-up."""
     came = sightings.previous >= 0
     before = np.where(came, sightings.previous, 0)
     name = how.removeprefix("after ")
@@ -129,13 +129,13 @@ def _released(sightings: Sightings, how: str, constant: float) -> Bools:
     return np.asarray(came & (changing != changing[before]))
 
 
-def _keep(sightings: Sightings, states: Sequence[State]) -> None:
-    """Work out states (n,) side by side, those not yet known, and keep them with the sightings."""
+def _cache_states(sightings: Sightings, states: Sequence[State]) -> None:
+    """Computation of several states (n,) together, cached with the sightings."""
     states = [key for key in states if key not in sightings.derived]
     if not states:
         return
     rows = sightings.by_set_up
-    inputs = {name: _added(sightings, name)[rows] for name in {name for name, _, _ in states}}
+    inputs = {name: _increments(sightings, name)[rows] for name in {name for name, _, _ in states}}
     factors = {key: _factor(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
     added = np.stack([inputs[name] for name, _, _ in states], axis=1)
     factor = np.stack([factors[how, k] for _, how, k in states], axis=1)
@@ -150,17 +150,17 @@ def _keep(sightings: Sightings, states: Sequence[State]) -> None:
         sightings.derived[key][rows] = column
 
 
-def _added(sightings: Sightings, name: str) -> Floats:
-    """Change (n,) of a quantity since the pointing before of the set-up, 0 for its first."""
+def _increments(sightings: Sightings, name: str) -> Floats:
+    """Change (n,) of a quantity since the previous pointing of the set-up, 0 for its first."""
     x = sightings.quantities[name]
     return np.where(sightings.previous >= 0, x - x[sightings.previous], 0.0)
 
 
 def _factor(sightings: Sightings, how: str, constant: float) -> Floats:
-    """Share (n,) of a state that remains at each pointing: 0 where it is released."""
+    """Remaining fraction (n,) of a state at each pointing: 0 at a reset."""
     came = (sightings.previous >= 0).astype(np.float64)
     if how == FADES:
         return came * np.exp(-sightings.quantities["lapse"] / constant)
     if how == FORGETS:
         return came * np.exp(-1.0 / constant)
-    return came * ~_released(sightings, how, constant)
+    return came * ~_resets(sightings, how, constant)

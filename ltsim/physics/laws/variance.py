@@ -1,26 +1,26 @@
-"""Noise that no card describes: where it grows, and amounts that repeat; its carrier is the noise."""
+"""Variance functions: changes of the noise that are not in the catalogue, and errors that repeat."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import NoiseSignature, Parameter
-from ltsim.physics.laws.columns import MEMORY
+from ltsim.physics.laws.columns import CIRCULAR, MEMORY_PREFIXES
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import Region
 from ltsim.scene.sightings import Sightings
 
 REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
-"""Ways in which amounts repeat: an error on the way to a target is in the ranges of both faces."""
+"""Kinds of repetition: an error on the path to a target is in the ranges of both faces, for example."""
 
 
-LEAST_PATH = 0.05
-"""Share of the longest path through a region up to which a line of sight passes outside."""
+MIN_PATH = 0.05
+"""Fraction of the longest path through a region below which a line of sight counts as outside."""
 
 
 def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
-    """Names of all targets, stations, or pointings (``row 1``), and that (n,) of each pointing."""
+    """Names of all targets, stations, or pointings (``row 1``), and the index (n,) of the one of each pointing."""
     if each == "reading":
         return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
     if each == "station":
@@ -28,13 +28,22 @@ def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
     return tuple(sightings.target_names), sightings.target
 
 
+def size_or_value(sightings: Sightings, name: str) -> Floats:
+    """Covariate (n,) that noise depends on: of moves and other memories their size."""
+    values: Floats = sightings.quantities[name]
+    return np.abs(values) if name.startswith(MEMORY_PREFIXES) else values
+
+
 @dataclass(frozen=True)
 class VarianceFunction(NoiseSignature):
-    """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
+    """Variance function: noise of some observables that depends on a covariate, or differs by target.
 
-    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
-    the names of all targets, stations or readings, has a value of its own; one for each observable where
-    `per_observable`. In a `region` of the hall the pattern is the length of the line of sight in it.
+    Not in the catalogue.
+
+    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`
+    (targets, stations or readings) has a separate value, and with `per_observable` one for each observable. For a
+    `region` of the hall the pattern is the length of the line of sight in it. With a `band` the pattern is 1 from its
+    first to its second value of the covariate, round the circle for directions, and 0 elsewhere.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -48,6 +57,7 @@ class VarianceFunction(NoiseSignature):
     owners: tuple[str, ...] = ()
     per_observable: bool = False
     region: Region | None = None
+    band: tuple[float, ...] = ()
 
     name = "unknown"
 
@@ -57,30 +67,30 @@ class VarianceFunction(NoiseSignature):
         kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.owners for kind in kinds]
         return tuple(
-            Parameter(n, "", "variance added where the pattern is 1, over the stated", 3.0)
+            Parameter(n, "", "added variance where the pattern is 1, divided by the declared variance", 3.0)
             for n in names or ["added-variance"]
         )
 
     @property
     def carrier(self) -> str:
-        """Response (carrier): a reading whose amounts repeat, the noise otherwise."""
+        """Response: a reading for errors that repeat, the noise otherwise."""
         return self.observables[0] if self.repeating and len(self.observables) == 1 else "noise"
 
     @property
     def driver(self) -> str:
-        """Regressor (driver) that the scatter depends on, in words."""
+        """Regressor on which the variance depends, as text."""
         return "station and target" if self.repeating else self.each or " ".join(self.covariates)
 
     @property
     def law(self) -> str:
-        """Law of the noise in words."""
+        """Text of the variance function."""
         if self.repeating:
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
-            return f"amounts without a visible law that repeat when a target is measured again{again}"
+            return f"errors without a visible law that recur when a target is measured again{again}"
         if self.region is not None:
             return "larger noise on lines of sight that pass a region of the hall"
         if self.each == "reading":
-            return "a share of the readings scatters much more than the rest"
+            return "a fraction of the readings with a much larger scatter"
         if self.each:
             what = self.each.replace("station", "set-up")
             return f"noise that differs from {what} to {what}" + (
@@ -88,10 +98,12 @@ class VarianceFunction(NoiseSignature):
             )
         if not self.covariates:
             return "larger noise"
+        if self.band:
+            return f"larger noise in a band of {self.covariates[0]}"
         return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3)."""
+        """Variance (n, 3) of the readings."""
         if self.each:
             added = values.reshape(len(self.owners), -1)[owners_of(sightings, self.each)[1]]
             acts = [o in self.observables for o in OBSERVABLES]
@@ -102,16 +114,26 @@ class VarianceFunction(NoiseSignature):
         if self.region is not None:
             path = self.region.path(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
-            pattern = pattern * np.where(share > LEAST_PATH, share, 0.0)
+            pattern = pattern * np.where(share > MIN_PATH, share, 0.0)
             return self._grown(sigma, values[0] * pattern)
+        if self.band:
+            return self._grown(sigma, values[0] * pattern * self._inside(sightings))
         for name in self.covariates:
-            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
+            x = size_or_value(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         return self._grown(sigma, values[0] * pattern)
 
+    def _inside(self, sightings: Sightings) -> Bools:
+        """Pointings (n,) within the band of the covariate."""
+        (low, high), name = self.band, self.covariates[0]
+        x = size_or_value(sightings, name)
+        if name in CIRCULAR:
+            return np.asarray(np.remainder(x - low, 2.0 * np.pi) <= high - low)
+        return np.asarray((x >= low) & (x <= high))
+
     def _grown(self, sigma: Floats, added: Floats) -> Floats:
-        """Variance (n, 3) with an added share (n,) in its observables."""
+        """Variance (n, 3) with an added fraction (n,) in its observables."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added[:, None] * np.array(acts))
         return grown

@@ -1,4 +1,4 @@
-"""Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is told can be read."""
+"""Text form of laws, such as ``exp(-station-time / 8 min)``, and its parser."""
 
 import itertools
 import re
@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressor_library import FOLLOWED, OPERATORS
+from ltsim.physics.laws.regressor_library import OPERATORS, READING_COVARIATES
 from ltsim.physics.laws.regressors import (
     CLOCKS,
     LEVER,
@@ -31,7 +31,7 @@ from ltsim.scene.regions import SHAPES, Region
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
 METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
-"""Covariates that are told in degrees, in minutes or seconds, in metres."""
+"""Covariates that are displayed in metres; other sets name those in degrees, minutes and seconds."""
 PHRASE_OF = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
@@ -85,8 +85,9 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Phrase for a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and value
-a constant, or a wave's period, with its unit."""
+"""Phrase for a kind of regressor, its function and its constant (None: any). In it x is a covariate, k the constant,
+and value a constant or a period with its unit.
+"""
 UNIT_OF = {
     "lagging": "time",
     "fades": "time",
@@ -94,36 +95,38 @@ UNIT_OF = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Covariates whose unit the constant of a driver of such a kind, or with such a function, has."""
-LEAST = {"min": 2.0, "m": 1.0}
-"""Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
+"""Covariate whose unit the constant of a regressor has, by kind or function."""
+MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
+"""Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
 AT_EACH_SET_UP = ", in its own way at each set-up"
-"""Said after the driver of a law that has coefficients of its own for each set-up."""
+"""Suffix of the regressor of a law with separate coefficients for each set-up."""
 AT_EACH = ", another at each instrument"
-"""Said after the other factor of a product that each instrument has of its own."""
+"""Suffix of a product whose other factor is separate for each instrument."""
 SWITCH = "a switch of {x}, on from {spans}"
+START = "the start"
+"""Text form of the start of a span that began before the first pointing."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
-THROUGH = {
+REGION_PHRASES = {
     ("passage", ""): "the path through",
     ("passage", LEVER): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Phrase before a region, for a kind of driver and its function."""
+"""Phrase before a region, by kind of regressor and its function."""
 
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
-    """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
+    """Text of a covariate's value with its unit; without a `clock`, time is given in rows."""
     units = _units(name, clock)
     *larger, last = units
-    unit = next((u for u in larger if abs(value) >= LEAST[u] * units[u]), last)
+    unit = next((u for u in larger if abs(value) >= MIN_DISPLAYED[u] * units[u]), last)
     digits = 4 if unit in ("mm", "") else 3
     return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
 
 
 def _units(name: str, clock: bool) -> dict[str, float]:
-    """Units in which a covariate is told [SI], the larger one first."""
+    """Units of display of a covariate [SI], the larger one first."""
     if name.endswith((*ANGLES, "incidence")):
         return {"deg": np.pi / 180.0}
     if name in SECONDS:
@@ -132,13 +135,13 @@ def _units(name: str, clock: bool) -> dict[str, float]:
 
 
 def describe(driver: Regressor, *, clock: bool = True) -> str:
-    """A driver in words."""
+    """Text form of a regressor."""
     if driver.is_per_instrument:
         return describe(driver.factors[0], clock=clock) + AT_EACH
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
     if driver.region is not None:
-        return f"{THROUGH[driver.kind, driver.function]} {region_words(driver.region)}"
+        return f"{REGION_PHRASES[driver.kind, driver.function]} {region_words(driver.region)}"
     if driver.kind == "switch":
         return _switch_words(driver, clock=clock)
     if driver.kind == "latch":
@@ -154,15 +157,17 @@ def describe(driver: Regressor, *, clock: bool = True) -> str:
 
 
 def _switch_words(driver: Regressor, *, clock: bool) -> str:
-    """A switch in words: the spans in which it is on; the last one may have no end."""
+    """Text form of a switch: the spans in which it is on; the first may have no start and the last no end."""
     name = driver.covariates[0]
     values = [value_of(name, factor.constant, clock=clock) for factor in driver.factors]
+    if driver.factors[0].constant == -np.inf:
+        values[0] = START
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
     return SWITCH.format(x=name, spans=", ".join(spans))
 
 
 def region_words(region: Region) -> str:
-    """A region of the hall in words."""
+    """Text form of a region of the hall."""
     at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.axes, region.centre, strict=True))
     return f"a {SHAPES[region.axes]} at {at}, width {region.width:.4g} m"
 
@@ -181,11 +186,11 @@ EXAMPLES = (
     "a latch of distance, set above 5.2 m, released below 4.1 m",
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
-"""Examples of a driver in words."""
+"""Examples of the text form of a regressor."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
 _REGION = re.compile(
-    rf"(?P<through>{'|'.join(THROUGH.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
+    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
     rf"at (?P<at>.+), width (?P<width>{_NUMBER}) m"
 )
 _COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
@@ -197,16 +202,16 @@ _STEPS = re.compile(r", (?=step\(|ramp\()")
 def read_law(
     carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
 ) -> Law:
-    """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
+    """Law from its response and the text form of its regressor (see `describe`), at some places; raises ModelError."""
     if carrier not in RESPONSES:
-        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(RESPONSES)}")
-    driver, each = read_driver(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
+        raise ModelError(f"there is no response called '{carrier}'; responses are {', '.join(RESPONSES)}")
+    driver, each = read_regressor(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
     if each and (stations or targets):
-        raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
+        raise ModelError(f"'{words}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
     owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
     driver = Regressor("product", factors=(driver,)) if owned == [driver] else driver
     if not targets and owned:
-        raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
+        raise ModelError(f"'{words}' applies to targets, which follow the law: {carrier} ~ {words}:TARGET,TARGET")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
         orders = {PLACE: 1.0, ("target",): float(len(targets))}
         factors = (
@@ -217,22 +222,24 @@ def read_law(
     return Law(recording.stations if each else stations, targets, RESPONSES[carrier][0], driver, each=each)
 
 
-def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regressor:
-    """The driver that some words describe, `describe` backwards; a smooth one has so many modes; raises ModelError."""
+def read_regressor(words: str, recording: Recording, modes: int = MODES) -> Regressor:
+    """Regressor from its text form, the inverse of `describe`; `modes` applies to a smooth one. Raises ModelError."""
     factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
     if words.endswith(AT_EACH):
         by_instrument = amounts("instrument", len(recording.instruments))
-        return Regressor("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), by_instrument))
+        return Regressor(
+            "product", factors=(read_regressor(words.removesuffix(AT_EACH), recording, LOW), by_instrument)
+        )
     if match := _REGION.fullmatch(words):
         region = _read_region(words, match)
-        kind, function = next(key for key, through in THROUGH.items() if through == match["through"])
+        kind, function = next(key for key, through in REGION_PHRASES.items() if through == match["through"])
         return near(region) if kind == "near" else passage(region, function)
     if len(factors) > 1:
-        return Regressor("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
+        return Regressor("product", factors=tuple(read_regressor(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
-        return pieces([read_driver(step, recording) for step in steps])
+        return pieces([read_regressor(step, recording) for step in steps])
     further = recording.circumstances
-    covariates = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
     if match := _SWITCH.fullmatch(words):
         return _read_switch(words, match, recording)
     if match := _LATCH.fullmatch(words):
@@ -256,16 +263,19 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regress
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
+        f"'{words}' is not a regressor of this recording; expected words such as {'; '.join(EXAMPLES)}; with one of "
         f"{', '.join(covariates)}"
     )
 
 
 def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """The switch that some words describe; raises ModelError."""
-    name, edges = match["x"], []
+    """Switch from its text form; raises ModelError."""
+    name, edges = match["x"], list[Regressor]()
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
+        if text == START and not edges:
+            edges.append(simple(name, "step", -np.inf))
+            continue
         value = re.fullmatch(_GROUPS["value"], text)
         if value is None or name not in CLOCKS:
             raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-1]}'")
@@ -276,11 +286,11 @@ def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regr
 
 
 def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """The latch that some words describe; raises ModelError."""
+    """Latch from its text form; raises ModelError."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_GROUPS["value"], text)
-        if value is None or name not in {*FOLLOWED, *recording.circumstances}:
+        if value is None or name not in {*READING_COVARIATES, *recording.circumstances}:
             raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-2]}'")
         thresholds.append(_constant(words, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:
@@ -289,7 +299,7 @@ def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regre
 
 
 def _read_region(words: str, match: re.Match[str]) -> Region:
-    """The region that some words describe; raises ModelError."""
+    """Region from its text form; raises ModelError."""
     axes = next(axes for axes, shape in SHAPES.items() if shape == match["shape"])
     centre = dict(_COORDINATE.findall(match["at"]))
     if "".join(centre) != axes or float(match["width"]) <= 0.0:
@@ -299,7 +309,7 @@ def _read_region(words: str, match: re.Match[str]) -> Region:
 
 
 def _constant(words: str, name: str, groups: Mapping[str, str], clock: bool) -> float:
-    """The number in some words [SI]."""
+    """Number in a text form, in SI."""
     if "k" in groups:
         return float(groups["k"])
     units, unit = _units(name, clock), groups["unit"]

@@ -1,1 +1,1 @@
-"""The forward model that simulator, calibrator, planner and diagnoser share."""
+"""Forward model that simulator, calibrator, planner and diagnosis share."""

@@ -1,4 +1,4 @@
-"""A tracker construction: a kinematic chain with its error parameters, exact in both directions."""
+"""Construction of a tracker: a kinematic chain with error parameters, exact in both directions."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -29,19 +29,19 @@ from ltsim.recordings.recording import Recording
 
 NEWTON_STEPS = 12
 CLOSED = 1e-14
-NEARLY = 1e-11
-"""[m, rad] Residual from which a last step with the exact derivative converges to rounding."""
+LAST_STEP_RESIDUAL = 1e-11
+"""Residual [m, rad] from which one more step with the exact derivative converges to rounding."""
 
 
 @dataclass(frozen=True)
 class Construction:
-    """A chain and the parameters that feed its slots."""
+    """Kinematic chain and the parameters that act on its slots."""
 
     name: str
     chain: Chain
     parameters: tuple[Parameter, ...]
     terms: tuple[Term, ...]
-    """Terms, one per parameter: slot and basis."""
+    """Contributions of the parameters, one term each: slot and basis."""
 
     @property
     def size(self) -> int:
@@ -54,25 +54,25 @@ class Construction:
         return tuple(p.name for p in self.parameters)
 
     def names_of(self, instruments: Sequence[str]) -> tuple[str, ...]:
-        """Names (I p) of the parameters of all instruments: ``beam-tilt@NAME`` where there are several."""
+        """Names (I p) of the parameters of all instruments: ``beam-tilt@NAME`` if there are several."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.names)
 
     def index(self, name: str) -> int:
-        """Place of a parameter in the vector."""
+        """Index of a parameter in the vector."""
         if name not in self.names:
             raise unknown_name("instrument parameter", name, self.names)
         return self.names.index(name)
 
     def only(self, places: Iterable[int]) -> Self:
-        """The same chain with some of the parameters."""
+        """Construction with a selection of the parameters."""
         numbers = [int(k) for k in places]
         parameters, terms = tuple(self.parameters[k] for k in numbers), tuple(self.terms[k] for k in numbers)
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
     def _moving(self) -> tuple[Chain, tuple[str, ...]]:
-        """The chain with slots on all motions that a reading drives, and those of range, azimuth and elevation."""
+        """Chain with slots on all motions that depend on a reading, and the names of these slots."""
         still, chain, slots = np.zeros((1, 3)), list(self.chain), []
         for column in range(3):
             moved = np.eye(3)[[column]]
@@ -84,7 +84,7 @@ class Construction:
         return tuple(chain), tuple(slots)
 
     def bases(self, raw: Floats) -> Floats:
-        """Each parameter's basis at raw readings (n, 3), (n, p)."""
+        """Value (n, p) of each parameter's basis at raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(raw)))
         for k, term in self._varying:
             bases[k] = term.basis(raw)
@@ -92,11 +92,11 @@ class Construction:
 
     @cached_property
     def _varying(self) -> list[tuple[int, Term]]:
-        """Terms whose basis is not 1 everywhere, with their places."""
+        """Terms whose basis is not constant, with their indices."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not unity]
 
     def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
-        """Amount (n,), or one for all, added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
+        """Error (n,), or a common number, of each slot; `values` (p,), or (n, p) with a row per pointing [SI]."""
         amounts: dict[str, Floats] = {}
         for term, value in zip(self.terms, values.T, strict=True):
             amount = value if term.basis is unity else term.basis(raw) * value
@@ -110,14 +110,14 @@ class Construction:
         return amounts
 
     def point(self, raw: Floats, values: Floats) -> Floats:
-        """Point (n, 3) [m] in the instrument frame that raw readings (n, 3) describe; exact."""
+        """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
         return point(self.chain, raw, self.errors(raw, values))
 
     def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Point (n, 3), its derivative by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
+        """Point (n, 3), its derivative with respect to the raw readings (n, 3, 3) and to the parameters (n, 3, p).
 
-        The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the
-        size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
+        The derivative with respect to the readings neglects that the bases depend on them (relative 1e-5, the size of
+        the errors); Newton's and Gauss-Newton iterations correct for that.
         """
         (chain, driven), bases = self._moving, self.bases(raw)
         slots = {term.slot for term in self.terms} | set(driven)
@@ -130,16 +130,16 @@ class Construction:
 
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
-        raw = self._approached(points, face, values, CLOSED)
+        raw = self._inverted(points, face, values, CLOSED)
         raw[:, 1] = wrap(raw[:, 1])
         return raw
 
-    def _approached(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
-        """Raw readings (n, 3) of points, azimuths unwrapped, to a gap of `closed`.
+    def _inverted(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
+        """Raw readings (n, 3) of points, azimuths unwrapped, with a residual below `closed`.
 
-        Newton's method with the ideal tracker's derivative: each step closes the gap by a factor of the size
-        of the errors (1e-5), so that three steps reach rounding. The next step is as much smaller than the last
-        as that was than the one before; where it would be below `closed` it is not taken.
+        Newton's method with the derivative of an ideal tracker reduces the residual in each step by the relative size
+        of the errors (1e-5), so that three steps reach rounding. Steps decrease by a constant ratio; a step that would
+        be below `closed` is omitted.
         """
         polar = to_polar(points)
         raw = to_face(polar, face)
@@ -156,8 +156,8 @@ class Construction:
         return raw
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """`readings` of points and `reading_design` there, in one go."""
-        raw = self._approached(points, face, values, NEARLY)
+        """Results of `readings` and of `reading_design` at the same points, computed together."""
+        raw = self._inverted(points, face, values, LAST_STEP_RESIDUAL)
         reached, by_reading, by_value = self.linearised(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
@@ -165,14 +165,14 @@ class Construction:
         return raw, by_point, -by_point @ by_value
 
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
-        """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""
+        """Derivative of the raw readings with respect to the local point (n, 3, 3) and to the parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearised(raw, values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
 def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
-    """The geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
+    """Geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
     chosen = tuple(effects)
     return Construction(
         "misalignment",
@@ -188,9 +188,9 @@ BOUNDS: dict[str, tuple[str, float]] = {
     "range_offset": ("um", 10 * MICROMETRE),
     "range_scale": ("ppm", 2 * PPM),
 }
-"""Unit and prior sigma of a parameter by the guarantee that bounds it."""
+"""Unit and prior sigma of a parameter by the kind of specification that applies to it."""
 
-SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
+COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
 MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
 HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
@@ -206,13 +206,15 @@ DH_PHYSICAL: dict[str, PriorKind] = {
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
-"""D-H coefficients that span the misalignments of a source in the head, with the guarantee that bounds each."""
+"""D-H coefficients that represent the misalignments of a source in the head, with the specification that applies to
+each.
+"""
 
 _SPAN = 5.0
 
 
 def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
-    """The paper's D-H construction with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
+    """D-H construction of the paper with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
 
     Parameters
     ----------
@@ -231,7 +233,7 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in MOTIONS]
     waves = range(2 * harmonics + 1)
-    rows = [(slot, SUFFIX[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
+    rows = [(slot, COEFFICIENT_SUFFIXES[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
     rows += [(f"T.{motion}", str(k), Power(k), _SPAN**-k) for motion in MOTIONS for k in range(degree + 1)]
     parameters, terms = [], []
     for slot, end, basis, scale in rows:
@@ -249,7 +251,7 @@ def _harmonic(column: int, k: int) -> Basis:
     return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else unity
 
 
-SHARED: tuple[SlotEffect, ...] = (
+SHARED_EFFECTS: tuple[SlotEffect, ...] = (
     RangeOffset(),
     RangeScale(),
     TransitOffset(),
@@ -258,8 +260,10 @@ SHARED: tuple[SlotEffect, ...] = (
     AzimuthEccentricity(),
     AzimuthSecondOrder(),
 )
-"""Causes that the design with the source in the head has too; they feed the same slots of another chain."""
-MIRROR: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
+"""Effects that a tracker with the source in the head and one with a steering mirror have in common; they act on the
+same slots of another chain.
+"""
+MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
     ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
@@ -278,22 +282,23 @@ MIRROR: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
     ("elevation-second-order-cos", "angle", Lobe("cos", 2, 1.0), "cosine of twice the mirror's angle"),
     ("elevation-second-order-sin", "angle", Lobe("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam, each for its slot of `kinematics.steering_mirror`; lobes are of
-the circle that turns with the mirror, at half the rate of the reading."""
+"""Misalignments of mirror, axes, cover plate and beam, each with its slot of `kinematics.steering_mirror`; their bases
+are functions of the circle that rotates with the mirror, at half the rate of the reading.
+"""
 
 
 def steering_mirror() -> Construction:
-    """The construction with a beam-steering mirror and its 21 parameters."""
-    parameters = [p for effect in SHARED for p in effect.parameters]
-    terms = [t for effect in SHARED for t in effect.terms]
-    for name, kind, lobe, meaning in MIRROR:
+    """Construction with a beam-steering mirror and its 21 parameters."""
+    parameters = [p for effect in SHARED_EFFECTS for p in effect.parameters]
+    terms = [t for effect in SHARED_EFFECTS for t in effect.terms]
+    for name, kind, lobe, meaning in MIRROR_PARAMETERS:
         parameters.append(Parameter(name, BOUNDS[kind][0], meaning, BOUNDS[kind][1], kind))
         terms.append(Term("elevation", lobe) if lobe else Term(name))
     return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
 
 
 def ideal() -> Construction:
-    """A tracker without instrument parameters."""
+    """Construction without instrument parameters."""
     return Construction("ideal", MISALIGNMENT, (), ())
 
 
@@ -306,9 +311,9 @@ CONSTRUCTIONS: dict[str, Callable[[], Construction]] = {
 
 
 def construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
-    """Give a construction by its name, a D-H chain with other orders than 2 where they are given.
+    """Construction by its name; for a D-H chain with the given orders.
 
-    ModelError when there is no such construction, it has no orders to choose, or an order is out of bounds.
+    Raises ModelError for an unknown name, for orders of another construction, and for an order out of bounds.
     """
     if name not in CONSTRUCTIONS:
         raise unknown_name("construction", name, CONSTRUCTIONS)
@@ -322,41 +327,45 @@ def construction(name: str, harmonics: int | None = None, degree: int | None = N
     return dh(2 if harmonics is None else harmonics, 2 if degree is None else degree)
 
 
-def built_as(name: str, harmonics: int, degree: int) -> Construction:
-    """Give a construction by its name, with the orders where it is the D-H chain."""
+def construction_with_orders(name: str, harmonics: int, degree: int) -> Construction:
+    """Construction by its name, with orders that apply to the D-H chain only."""
     return dh(harmonics, degree) if name == "dh" else construction(name)
 
 
 def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
-    """Give a construction by its name, a D-H chain of the orders that the names of its `parameters` need."""
+    """Construction by its name; a D-H chain with the orders that the names of its `parameters` need."""
     if name != "dh":
         return construction(name)
     ends = [p.rpartition("_") for p in parameters]
-    orders = [(SUFFIX.index(end) + 1) // 2 for front, _, end in ends if not front.startswith("T.") and end in SUFFIX]
+    orders = [
+        (COEFFICIENT_SUFFIXES.index(end) + 1) // 2
+        for front, _, end in ends
+        if not front.startswith("T.") and end in COEFFICIENT_SUFFIXES
+    ]
     powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
     return dh(max(orders, default=2), min(max(powers, default=2), HIGHEST_DEGREE))
 
 
 @cache
 def every_parameter_name() -> frozenset[str]:
-    """Names of the parameters of all constructions, of the D-H chain to its highest orders."""
+    """Names of the parameters of all constructions, with the highest orders of the D-H chain."""
     built = misalignment(), steering_mirror(), dh(HIGHEST_ORDER, HIGHEST_DEGREE)
     return frozenset(name for construction_ in built for name in construction_.names)
 
 
-def of_design(design: str) -> Construction:
-    """The construction of an instrument whose set-up states where its beam comes from."""
+def construction_of_design(design: str) -> Construction:
+    """Construction of an instrument by the origin of its beam, as declared in the set-up."""
     return steering_mirror() if design == "steering-mirror" else misalignment()
 
 
 def declared_construction(recording: Recording) -> Construction:
-    """The construction that a recording's set-up states: where the beam comes from in its instruments.
+    """Construction of a recording by the declared origin of the beam in its instruments.
 
-    NetworkError when instruments of both designs measured together: their parameters are not the same.
+    Raises NetworkError for instruments of both designs, because their parameters differ.
     """
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:
         mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
-        message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
-        raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
-    return of_design(next(iter(designs.values()), ""))
+        message = f"stations {mirror} have a tracker with a steering mirror, the others have the source in the head"
+        raise NetworkError(f"{message}; calibrate them separately, or choose one construction for all")
+    return construction_of_design(next(iter(designs.values()), ""))

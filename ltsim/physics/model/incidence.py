@@ -1,7 +1,7 @@
-"""Incidence errors of reflectors in fixed nests: how large they may be is known, so each is estimated with the network.
+"""Incidence errors of reflectors in fixed nests, estimated with the network under a prior.
 
-Without a bench test the prior of the effect `smr-incidence` holds: the paper's reflector is a typical one. A test
-conditions that prior. Parameters are independent standard deviations of what is left.
+Without a bench test the prior is that of the effect `smr-incidence`, for which the paper's reflector is typical. A test
+conditions that prior. The parameters are independent errors in standard deviations of the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
 LAW = SmrIncidence()
-EXACT = 1e-3 * MICROMETRE
-"""Smallest standard deviation of a bench test's error: a tenth of what interferometers resolve."""
+MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
+"""Smallest standard deviation of an error in a bench test: a tenth of the resolution of interferometers."""
 
 
 @dataclass(frozen=True)
 class IncidenceErrors(Signature):
-    """The incidence error of one reflector as a sum of k independent errors around what a bench test says of it."""
+    """Incidence error of one reflector: mean from its bench test plus k independent errors."""
 
     reflector: str
-    """Name of the reflector; empty where the recording names none."""
+    """Name of the reflector; empty if the recording names none."""
     acts: Floats
-    """(n,): 1 for pointings to the reflector, else 0."""
+    """Weights (n,): 1 for pointings to the reflector, 0 for others."""
     mean: Floats
-    """Expected parameters of `smr-incidence`, (p,) [SI]."""
+    """Expected parameters (p,) [SI] of `smr-incidence`."""
     root: Floats
-    """Change of these by one standard deviation of each error, (p, k) [SI]."""
+    """Change (p, k) [SI] of these parameters by one standard deviation of each error."""
 
     @property
     def name(self) -> str:
@@ -46,37 +46,36 @@ class IncidenceErrors(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Errors, one per unknown, each with a prior of one standard deviation."""
+        """Errors as parameters, each with a prior of one standard deviation."""
         return (Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),) * self.root.shape[1]
 
     def law_values(self, values: Floats) -> Floats:
-        """Parameters (p, ...) [SI] of `smr-incidence` at errors (k, ...)."""
+        """Parameters (p, ...) [SI] of `smr-incidence` for errors (k, ...)."""
         change: Floats = np.tensordot(self.root, values, 1)
         return change + self.mean.reshape(-1, *[1] * (change.ndim - 1))
 
     def _by_law(self, sightings: Sightings) -> Floats:
-        """Range error (n, p) per unit of each parameter of the law."""
+        """Range error (n, p) per unit of each parameter of `smr-incidence`."""
         return LAW.terms(*LAW.incidence(sightings)) * self.acts[:, None]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the raw readings by each error."""
+        """Change (n, 3, k) of the raw readings per unit of each error."""
         return on_readings(sightings, distance=self._by_law(sightings) @ self.root)
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by errors (k,) around the mean."""
+        """Change (n, 3) of the raw readings by the mean and errors (k,)."""
         return on_readings(sightings, distance=self._by_law(sightings) @ self.law_values(values))
 
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
-    """The incidence error of every reflector that stood in a fixed nest of known direction."""
+    """Incidence error of every reflector that was in a fixed nest with a known normal."""
     return tuple(_incidence_errors(recording))
 
 
 def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapping[str, Floats]) -> Floats:
     """Change (n, 3) of the readings by the incidence errors of reflectors.
 
-    `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the reflector's name; those that it lacks have no
-    error.
+    `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the name of the reflector; others have no error.
     """
     names = np.array(smrs_of(recording))
     by_law = LAW.design(sightings)
@@ -95,11 +94,11 @@ def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
     names = np.array(smrs_of(recording))
     tests = {test.reflector: test for test in recording.setup.bench}
     for name in dict.fromkeys(names[fixed].tolist()):
-        law = conditioned(tests.get(name, tests.get("")))
+        law = prior_given_bench_test(tests.get(name, tests.get("")))
         yield IncidenceErrors(name, (fixed & (names == name)).astype(np.float64), *law)
 
 
-def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
+def prior_given_bench_test(test: BenchTest | None) -> tuple[Floats, Floats]:
     """Mean (p,) and root (p, p) of the covariance of the parameters of `smr-incidence`, given a bench test."""
     mean, root = np.zeros(len(LAW.parameters)), np.diag(LAW.spread)
     if test is None:
@@ -109,7 +108,7 @@ def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
     positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
     terms = -SmrIncidence.terms(np.abs(angle) * DEGREE, positive)
     used = np.arange(len(angle)) != middle
-    spread = np.maximum(sigma[used, None] * MICROMETRE, EXACT)
+    spread = np.maximum(sigma[used, None] * MICROMETRE, MIN_BENCH_SIGMA)
     sensitivity = (terms - terms[middle])[used] @ root / spread
     whitened = ((error - error[middle]) * MICROMETRE)[used] / spread[:, 0]
     contraction = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + sensitivity.T @ sensitivity))

@@ -1,4 +1,4 @@
-"""Scene, construction and effects give predicted readings and their derivatives."""
+"""Forward model: scene, construction and effects give predicted readings and their derivatives."""
 
 import itertools
 from dataclasses import dataclass, field, replace
@@ -25,21 +25,21 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class State:
-    """State of a network: all quantities that an adjustment can change; SI, network frame."""
+    """State of a network: all quantities that an adjustment estimates; SI, network frame."""
 
     position: Floats
-    """(S, 3)."""
+    """Positions of the instruments, (S, 3)."""
     rotation: Floats
     """Instrument frame to network frame, (S, 3, 3)."""
     points: Floats
-    """(T, 3)."""
+    """Coordinates of the targets, (T, 3)."""
     instrument: Floats
     """Construction parameters of each instrument, (I, p)."""
     extra: Floats = field(default_factory=lambda: np.zeros(0))
-    """Parameters of the further effects, (q,)."""
+    """Parameters of the additional effects, (q,)."""
 
     def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> Self:
-        """The state after increments; `pose` (S, 6) is translation, then rotation vector in the network frame."""
+        """State after increments; `pose` (S, 6) is translation and rotation vector in the network frame."""
         return type(self)(
             self.position + pose[:, :3],
             from_rotation_vector(pose[:, 3:]) @ self.rotation,
@@ -53,7 +53,7 @@ class State:
 class Prediction:
     """Predicted raw readings (n, 3) and their derivatives.
 
-    by_pose (n, 3, 6), by_target (n, 3, 3), by_instrument (n, 3, p), by_extra (n, 3, q).
+    The derivatives are by_pose (n, 3, 6), by_target (n, 3, 3), by_instrument (n, 3, p) and by_extra (n, 3, q).
     """
 
     readings: Floats
@@ -64,15 +64,15 @@ class Prediction:
 
 
 def sightings_of(recording: Recording, state: State) -> Sightings:
-    """The sightings of a recording's pointings with stations and targets at `state`.
+    """Sightings of a recording's pointings with stations and targets at `state`.
 
-    Nest normals are turned from the floor plan into the network's frame (`plan_rotation`).
+    Nest normals are transformed from the floor plan to the network frame (`plan_rotation`).
     """
     return _sightings(recording, state, plan_rotation(recording, state.position, state.rotation))
 
 
 def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
-    """The same with nest normals turned by `turn` (3, 3)."""
+    """Sightings as of `sightings_of`, with nest normals rotated by `turn` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -93,18 +93,18 @@ def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
 
 
 def _nest_normals(recording: Recording) -> Floats:
-    """Stated normals (T, 3) of the nests, floor plan; NaN where unknown."""
+    """Declared normals (T, 3) of the nests on the floor plan; NaN if unknown."""
     missing = (np.nan, np.nan, np.nan)
     return _units([recording.target_setup(name).nest_normal or missing for name in recording.targets])
 
 
 def verticals(recording: Recording) -> Floats:
-    """Direction of plumb (S, 3) at each station, a unit vector of the network frame."""
+    """Direction of the plumb line (S, 3) at each station, a unit vector in the network frame."""
     return _units([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
 def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
-    """The recording with the plumb lines of a sphere at levelled stations (S, 3), where its set-up is `curved`."""
+    """Recording with the plumb lines of a sphere at levelled stations (S, 3), if its set-up is `curved`."""
     if not recording.setup.curved:
         return recording
     stations = dict(recording.setup.stations)
@@ -122,10 +122,10 @@ def _units(directions: list[tuple[float, float, float]]) -> Floats:
 
 
 def lift_of(recording: Recording) -> Floats | None:
-    """Lift (n, 3) [m] of each pointing's reflector over the target's mark; None where all stand on it.
+    """Offset (n, 3) [m] of each pointing's reflector from the target's mark; None if all offsets are 0.
 
-    An instrument height stated for single pointings counts here, less the one of the set-up, which is part of the
-    station's position.
+    An instrument height of a single pointing is included, less that of the set-up, which is part of the station's
+    position.
     """
     instrument, target = recording.heights()
     usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
@@ -136,9 +136,9 @@ def lift_of(recording: Recording) -> Floats | None:
 
 
 def smr_lift(recording: Recording) -> Floats | None:
-    """The part (n, 3) [m] that SMRs of other radii than the reference have in it, along the normals of their nests.
+    """Part (n, 3) [m] of the offset due to SMRs of other radii than the reference, along the normals of their nests.
 
-    These are those of the set-up: `adjust` refuses a network that is not held in that frame.
+    The normals are in the frame of the set-up; `adjust` refuses a network in another frame.
     """
     excess = excess_radii(recording)
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
@@ -146,7 +146,7 @@ def smr_lift(recording: Recording) -> Floats | None:
 
 @dataclass(frozen=True)
 class MeasurementModel:
-    """The forward model of a recording: which pointings, which construction, which further effects."""
+    """Forward model of a recording, with its construction and its additional effects."""
 
     recording: Recording
     construction: Construction
@@ -154,24 +154,24 @@ class MeasurementModel:
 
     @cached_property
     def heads(self) -> tuple[HeadHeights, ...]:
-        """The heights of heads, where the set-up states how well they are known."""
+        """Heights of heads as unknowns, if the set-up gives their standard deviation."""
         return head_heights(self.recording, verticals(self.recording))
 
     @cached_property
     def incidence(self) -> tuple[IncidenceErrors, ...]:
-        """Incidence errors of reflectors in fixed nests; none where `effects` estimate them without a prior."""
+        """Incidence errors of reflectors in fixed nests; none if `effects` estimate them without a prior."""
         free = any(isinstance(effect, SmrIncidence) and not effect.place for effect in self.effects)
         return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
 
     @property
     def incidence_columns(self) -> tuple[slice, ...]:
-        """The values of each of `incidence` among the parameters (q,) beside network and instrument."""
+        """Slices of the additional parameters (q,) that belong to each of `incidence`."""
         first = self.effects_size + sum(len(heads.parameters) for heads in self.heads)
         ends = first + np.cumsum([0, *(len(error.parameters) for error in self.incidence)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(ends))
 
     def reflectors(self, extra: Floats) -> dict[str, Floats]:
-        """Parameters (p, ...) [SI] of `smr-incidence` of each reflector at values (q, ...), by its name."""
+        """Parameters (p, ...) [SI] of `smr-incidence` of each reflector by name, for values (q, ...)."""
         columns = zip(self.incidence, self.incidence_columns, strict=True)
         return {error.reflector: error.law_values(extra[at]) for error, at in columns}
 
@@ -182,17 +182,17 @@ class MeasurementModel:
 
     @property
     def extra_effects(self) -> tuple[Signature, ...]:
-        """All that is estimated beside network and instrument: the further effects, then errors of a stated size."""
+        """Additional effects, followed by the nuisance errors with a prior."""
         return *self.effects, *self.nuisances
 
     @property
     def extra_size(self) -> int:
-        """Number of parameters q of all that."""
+        """Number q of additional parameters, of effects and nuisance errors."""
         return sum(len(effect.parameters) for effect in self.extra_effects)
 
     @property
     def effects_size(self) -> int:
-        """Number of those of the further effects, which come first."""
+        """Number of parameters of the additional effects, which come first."""
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_values(self, state: State) -> Floats:
@@ -201,20 +201,20 @@ class MeasurementModel:
         return state.instrument[self.recording.instrument]
 
     @cached_property
-    def _nowhere(self) -> Sightings:
-        """The pointings without their geometry, gathered once; nest normals of the floor plan."""
+    def _without_geometry(self) -> Sightings:
+        """Sightings without geometry, collected once; nest normals on the floor plan."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
         return _sightings(self.recording, State(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
     def _horizontal(self) -> Bools | None:
-        """Mask of horizontal distances; None where there are none."""
+        """Flags of horizontal distances; None if there are none."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
     def sightings(self, state: State) -> Sightings:
-        """The sightings of the pointings with stations, targets and instruments at `state`."""
+        """Sightings of the pointings with stations, targets and instruments at `state`."""
         geometry = self.geometry(state)
         return self._completed(geometry, state, self._instrument_readings(geometry, state))
 
@@ -227,29 +227,29 @@ class MeasurementModel:
         return self.construction.readings(geometry.local, geometry.face, self._instrument_values(state))
 
     def geometry(self, state: State) -> Sightings:
-        """The same as far as no effect is concerned."""
-        return self._nowhere.at(state.position, state.rotation, state.points)
+        """Sightings at `state`, without the data that only effects need."""
+        return self._without_geometry.at(state.position, state.rotation, state.points)
 
     def extra_design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the readings per unit of all that is estimated beside network and instrument."""
+        """Change (n, 3, q) of the readings per unit of each additional parameter."""
         if not self.extra_effects:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
     def extra_shift(self, sightings: Sightings, extra: Floats) -> Floats:
-        """Change (n, 3) of the readings by all that, at values (q,)."""
+        """Change (n, 3) of the readings by all additional parameters at values (q,)."""
         return self._shift(self.extra_effects, sightings, extra)
 
     def effects_shift(self, sightings: Sightings, extra: Floats) -> Floats:
-        """The same by the further effects alone."""
+        """Change (n, 3) of the readings by the additional effects alone."""
         return self._shift(self.effects, sightings, extra)
 
     def incidence_shift(self, sightings: Sightings, extra: Floats) -> Floats:
-        """The same by the incidence errors of reflectors alone."""
+        """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
         return incidence_shift(self.recording, sightings, self.reflectors(extra))
 
     def _shift(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
-        """Change (n, 3) by the first of all that is estimated beside network and instrument."""
+        """Change (n, 3) of the readings by the given signatures, which are the first of the additional ones."""
         change = np.zeros((len(sightings), 3))
         for signature, values in zip(signatures, self._split(extra), strict=False):
             change += signature.shift(sightings, values)
@@ -267,13 +267,13 @@ class MeasurementModel:
         return raw
 
     def _split(self, extra: Floats) -> list[Floats]:
-        """The values of each effect; those that a state does not hold are 0."""
+        """Values of each additional effect; 0 for those that a state does not hold."""
         sizes = [len(effect.parameters) for effect in self.extra_effects]
         whole = np.pad(extra, (0, sum(sizes) - len(extra)))
         return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
 
     def linearised(self, state: State) -> Prediction:
-        """Predicted readings and their derivatives by poses, targets, instrument and further effects."""
+        """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(sightings.local, sightings.face, values)
@@ -296,7 +296,10 @@ class MeasurementModel:
 
 
 def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
-    """Turn the slope distances `flat` (n,) of readings (n, 3) and their derivatives into horizontal ones, in place."""
+    """Reduction of slope distances, and of their derivatives, to the horizontal, in place.
+
+    `flat` (n,) marks the rows of the readings (n, 3) to reduce.
+    """
     range_, level = raw[flat, 0], raw[flat, 2]
     cosine = np.cos(level)
     sign = np.sign(cosine)
@@ -305,28 +308,28 @@ def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Boo
     raw[flat, 0] = range_ * np.abs(cosine)
 
 
-UPRIGHT = 5 * DEGREE
+MAX_AXIS_SPREAD = 5 * DEGREE
 """Largest spread of the axes of instruments on tripods [rad]; its cosine is compared with the length of their mean."""
-PLACES = 3
-"""Rough places of stations that turn the floor plan into the network's frame."""
-ROUGH = 3 * DEGREE
-"""Accuracy of directions on a floor plan [rad]: frames that agree within it are one frame."""
+MIN_PLAN_POSITIONS = 3
+"""Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
+PLAN_ACCURACY = 3 * DEGREE
+"""Accuracy [rad] of directions on a floor plan: frames that agree within it are considered equal."""
 
 
 def has_plan(recording: Recording) -> bool:
-    """True when the set-up turns directions on the floor plan into the network's frame (`plan_rotation`)."""
+    """True if the set-up determines the rotation from floor plan to network frame (`plan_rotation`)."""
     stations = [recording.station_setup(name) for name in recording.stations]
     has_control = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
     placed = sum(station.position_mm is not None for station in stations)
-    return has_control or placed >= PLACES or any(station.yaw_deg is not None for station in stations)
+    return has_control or placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
-    """Rotation (3, 3) from the set-up's frame to the network's.
+    """Rotation (3, 3) from the set-up's frame to the network frame.
 
-    The stations' rough positions (three or more, off one line) say it; otherwise their yaws. With control points both
-    frames are one, and nothing better is known where the set-up is silent: then it is the identity.
-    Stations stand at `position` (S, 3) [m], `rotation` (S, 3, 3) turns their frames into the network's.
+    It follows from the approximate positions of three or more stations that are not collinear, otherwise from their
+    yaws. It is the identity with control points, and if the set-up gives neither. Stations are at `position` (S, 3)
+    [m]; `rotation` (S, 3, 3) transforms their frames to the network frame.
     """
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         return np.eye(3)
@@ -334,7 +337,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     turn = _by_positions([s.position_mm for s in setups], position, rotation)
     if turn is None:
         turn = _by_yaws([s.yaw_deg for s in setups], rotation)
-    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < ROUGH:
+    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_ACCURACY:
         return np.eye(3)
     return turn
 
@@ -342,12 +345,12 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 def _by_positions(places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
     """Rotation from approximate coordinates of three or more stations; levels determine the vertical far better."""
     given = [i for i, p in enumerate(places) if p is not None]
-    if len(given) < PLACES:
+    if len(given) < MIN_PLAN_POSITIONS:
         return None
     plan = np.array([places[i] for i in given], dtype=np.float64) * MILLIMETRE
     axis = rotation[given, :, 2].mean(axis=0)
     level, here = np.eye(3), position[given]
-    if np.linalg.norm(axis) > np.cos(UPRIGHT):
+    if np.linalg.norm(axis) > np.cos(MAX_AXIS_SPREAD):
         level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
         here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
     try:
@@ -358,7 +361,7 @@ def _by_positions(places: list[tuple[float, float, float] | None], position: Flo
 
 
 def _by_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
-    """Mean of the rotations that upright stations with these yaws ask for."""
+    """Mean of the rotations that upright stations with these yaws imply."""
     asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
     if not asked:
         return None

@@ -1,6 +1,6 @@
 """Nuisance errors with a prior: heights of heads, errors that several readings share, refraction near the ground.
 
-Each is estimated together with the network.
+All are estimated together with the network.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class HeadHeights(Signature):
-    """Heights of instrument and reflector over their marks, less the declared ones, one for each of q occupations."""
+    """Errors of the heights of instrument and reflector above their marks, one per occupation (q)."""
 
     sigma: float
-    """[m] Standard deviation of each error."""
+    """Standard deviation [m] of each error."""
     lift: Floats
-    """(n, q): 1 for pointings to an occupation, -1 for those from it."""
+    """Coefficients (n, q): 1 for pointings to an occupation, -1 for those from it."""
     up: Floats
-    """Direction of plumb, (n, 3)."""
+    """Direction of the plumb line, (n, 3)."""
 
     @property
     def name(self) -> str:
@@ -42,18 +42,18 @@ class HeadHeights(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Centring errors, one per occupation; `prior_sigma` is the declared standard deviation."""
+        """Height errors, one per occupation; `prior_sigma` is the declared standard deviation."""
         return (Parameter("head-height", "mm", "height of a head", self.sigma),) * self.lift.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings by each height."""
+        """Change (n, 3, q) of the raw readings per unit of each height error."""
         return by_displacement(sightings, self.up[:, :, None] * self.lift[:, None])
 
 
 def head_heights(recording: Recording, vertical: Floats) -> tuple[HeadHeights, ...]:
-    """The heights of a recording that states how well they are known; `vertical` (S, 3) at its stations.
+    """Height errors of a recording that declares their standard deviation; `vertical` (S, 3) at its stations.
 
-    An occupation is what a cell of the columns `instrument_setup` and `target_setup` names; an empty one has none.
+    Cells of the columns `instrument_setup` and `target_setup` name the occupations; an empty cell has none.
     """
     sigma = recording.setup.heads_sigma_mm
     if sigma is None:
@@ -71,16 +71,16 @@ def head_heights(recording: Recording, vertical: Floats) -> tuple[HeadHeights, .
 
 @dataclass(frozen=True)
 class SharedErrors(Signature):
-    """q independent errors, in standard deviations, each of which reaches several readings.
+    """Independent errors (q), in standard deviations, that several readings share.
 
-    Readings with a noise D of their own and these errors F have the covariance D^2 + F F'; to estimate the errors
-    beside the network is to adjust with that covariance.
+    Readings with independent noise D and these errors F have the covariance D^2 + F F'. Estimating the errors with the
+    network is equivalent to an adjustment with that covariance.
     """
 
     reach: Floats
     """Change of each reading by one standard deviation, (n, 3, q) [m, rad]."""
     flat: Bools
-    """Distances reduced to the horizontal, (n,)."""
+    """Flags (n,) of distances that are reduced to the horizontal."""
 
     @property
     def name(self) -> str:
@@ -89,14 +89,14 @@ class SharedErrors(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Errors, one per unknown, each with a prior of one standard deviation."""
+        """Errors as parameters, each with a prior of one standard deviation."""
         return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reach.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings by each error.
+        """Change (n, 3, q) of the raw readings per unit of each error.
 
-        A horizontal distance h = r cos(e) is reduced from raw readings, but its error is stated by itself: r changes by
-        what it asks for, and by what makes up for the error of e.
+        A horizontal distance h = r cos(e) is computed from raw readings, but its error is declared for h: r changes so
+        that h has that error, which also compensates for the error of e.
         """
         reach, (range_, _, elevation) = self.reach.copy(), sightings.read[self.flat].T[:, :, None]
         cosine = np.cos(elevation)
@@ -106,7 +106,7 @@ class SharedErrors(Signature):
 
 
 def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
-    """The errors that the columns `shared_NAME_...` of a recording state; an empty cell is none."""
+    """Errors declared in the columns `shared_NAME_...` of a recording; an empty cell means none."""
     columns = {name: parts for name in recording.covariates if (parts := SHARED_COLUMN.fullmatch(name))}
     names = list(dict.fromkeys(parts[1] for parts in columns.values()))
     if not names:
@@ -122,12 +122,12 @@ def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
 class Refraction(Signature):
     """Refraction near the ground with a prior: the coefficient k is the radius of the earth over that of the ray.
 
-    A sight of length d leaves its chord by the angle k d / 2 R and lifts the image of the target.
+    A line of sight of length d starts at the angle k d / 2 R to its chord, so that the target appears higher.
     """
 
     mean: float
     sigma: float
-    """Expected coefficient and its standard deviation."""
+    """Expected coefficient, and its standard deviation."""
 
     @property
     def name(self) -> str:
@@ -136,7 +136,7 @@ class Refraction(Signature):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficient of refraction less its mean, with its standard deviation."""
+        """Coefficient of refraction less its mean, with its prior standard deviation."""
         return (Parameter("refraction", "", "coefficient of refraction", self.sigma),)
 
     def design(self, sightings: Sightings) -> Floats:
@@ -147,11 +147,11 @@ class Refraction(Signature):
         return on_readings(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by a coefficient that differs from its mean by values (1,)."""
+        """Change (n, 3) of the raw readings for a coefficient that differs from its mean by values (1,)."""
         return self.design(sightings) @ (self.mean + values)
 
 
 def refraction_of(recording: Recording) -> tuple[Refraction, ...]:
-    """Refraction where the set-up gives its coefficient with a standard deviation."""
+    """Refraction as an unknown, if the set-up gives its coefficient with a standard deviation."""
     given = recording.setup.refraction
     return () if given is None else (Refraction(*given),)

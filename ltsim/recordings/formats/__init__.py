@@ -1,1 +1,1 @@
-"""Formats that people have: one file a format."""
+"""Foreign file formats, one module per format."""

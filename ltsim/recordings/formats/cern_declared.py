@@ -1,4 +1,4 @@
-"""Declarations in files of CERN's LGC: points, with the precision of their coordinates, and polar instruments.
+"""Declarations in files of CERN's LGC: points with the precision of their coordinates, and polar instruments.
 
 ``*POIN`` lines may end with ``SX``, ``SY``, ``SZ`` (standard deviations in mm, 0 for fixed; an axis without one is
 free) or ``APRICOV DIAG(...)`` or ``MAT(...)`` (covariance in square metres). ``*OBSXYZ`` lines observe a point: its
@@ -19,10 +19,10 @@ from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CC = FACTOR["cc"]
-FIXED = 1e-7
-"""[m] Standard deviation of a coordinate that is fixed."""
-POINTS: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
-"""Kinds of points and the coordinates that they fix."""
+FIXED_SIGMA_M = 1e-7
+"""Standard deviation [m] of a fixed coordinate."""
+FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
+"""Coordinates that are fixed, by the keyword of a point."""
 SIGMAS = ("SX", "SY", "SZ")
 TURNED = ("BEAR", "SLOPE", "ROLL", "HDEFL")
 WITH_VALUE = ("OBSE", "PPM", "TH", "THSE", "TCSE", "TRGT", "ID", "ASE", "ZSE", "DSE", "ACST", "IH", "IHSE", "ICSE")
@@ -30,24 +30,24 @@ WITH_VALUE = ("OBSE", "PPM", "TH", "THSE", "TCSE", "TRGT", "ID", "ASE", "ZSE", "
 
 @dataclass(frozen=True)
 class Words:
-    """Words of a line, and where it stands."""
+    """Words of a line, with the location of the line."""
 
     tokens: Sequence[str]
     where: SourceLocation
 
     def first(self, count: int, message: str) -> Sequence[str]:
-        """The first words; raises RecordError where there are fewer."""
+        """The first `count` words; raises RecordError if there are fewer."""
         if len(self.tokens) < count:
             raise self.where.error(message)
         return self.tokens[:count]
 
     def numbers(self, start: int, *columns: str, limit: float = 1e12) -> list[float]:
-        """Numbers from place `start` on; raises RecordError."""
+        """Numbers from word `start` on; raises RecordError."""
         words = zip(self.tokens[start : start + len(columns)], columns, strict=True)
         return [self.where.number(word, column, limit=limit) for word, column in words]
 
     def options(self, start: int) -> Options:
-        """Options from place `start` on: flags, and names with a value each."""
+        """Options from word `start` on: flags, and names followed by a value."""
         values: dict[str, str] = {}
         rest = iter(self.tokens[start:])
         for word in map(str.upper, rest):
@@ -60,29 +60,29 @@ class Words:
 
 @dataclass(frozen=True)
 class Options:
-    """Options behind the values of a line, by name."""
+    """Options after the values of a line, by name."""
 
     values: dict[str, str]
     where: SourceLocation
 
     def number(self, name: str, default: float) -> float:
-        """A number among the options, or its default; raises RecordError."""
+        """Number of an option, or its default; raises RecordError."""
         return self.where.number(self.values[name], name) if name in self.values else default
 
 
 @dataclass
 class DeclaredPoint:
-    """A declared point."""
+    """Point declared in the file, with its coordinates and their weights."""
 
     place: Floats
-    """Coordinates as declared, known or approximate, (3,) [m]."""
+    """Declared coordinates, known or approximate, (3,) [m]."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    """Inverse covariance of its coordinates; 0 along free ones, (3, 3) [1 / m^2]."""
+    """Inverse covariance (3, 3) [1 / m^2] of its coordinates; 0 along free ones."""
     weighted: Floats = field(default_factory=lambda: np.zeros(3))
-    """(3,) [1 / m]: `information` times the coordinates that it belongs to."""
+    """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
 
     def add(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
-        """Learn coordinates (3,) with their covariance (3, 3) along some axes, by default all."""
+        """Addition of observed coordinates (3,) with covariance (3, 3), along some axes or all."""
         at = np.ix_(*[np.ones(3, dtype=bool) if axes is None else axes] * 2)
         information = np.zeros((3, 3))
         information[at] = np.linalg.inv(covariance[at])
@@ -91,23 +91,23 @@ class DeclaredPoint:
 
     @property
     def axes(self) -> Axes | None:
-        """The coordinates that are known; None for none."""
+        """Axes along which the coordinates are known; None if there are none."""
         determined = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
         return determined or None  # type: ignore[return-value]
 
     @property
     def is_fixed(self) -> bool:
-        """True if the point is fixed along all axes, so that observations add nothing."""
-        return bool(np.all(np.diag(self.information) >= 0.5 * FIXED**-2))
+        """True if the point is fixed along all axes, so that further observations are ignored."""
+        return bool(np.all(np.diag(self.information) >= 0.5 * FIXED_SIGMA_M**-2))
 
     @property
     def is_placeholder(self) -> bool:
-        """True if its coordinates in plan are 0, which stands for unknown."""
+        """True if its plan coordinates are 0, which means unknown."""
         return not np.any(self.place[:2])
 
     @property
     def estimate(self) -> tuple[Floats, Floats]:
-        """Coordinates (3,) [m], free ones as declared, and covariance (3, 3) [m^2], theirs 1 mm^2."""
+        """Coordinates (3,) [m] and covariance (3, 3) [m^2]; free ones as declared, with a variance of 1 mm^2."""
         axes = np.diag(self.information) > 0
         at, covariance, place = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.place.copy()
         covariance[at] = np.linalg.inv(self.information[at])
@@ -116,19 +116,19 @@ class DeclaredPoint:
 
 
 def point_of(keyword: str, words: Words) -> tuple[str, DeclaredPoint]:
-    """A line of a block of points; raises RecordError."""
+    """Name and point of a line in a block of points; raises RecordError."""
     name, place = _named_place(words, "a point needs a name and three coordinates")
     point = DeclaredPoint(place)
-    axes = np.array([axis in POINTS[keyword] for axis in "xyz"])
+    axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
     if axes.any():
-        point.add(place, np.eye(3) * FIXED**2, axes)
+        point.add(place, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:
         _read_precision(point, [token.upper() for token in words.tokens[4:]], words.where)
     return name, point
 
 
 def observed_point(words: Words) -> tuple[str, Floats, Floats]:
-    """A line of OBSXYZ: point, coordinates (3,) [m], covariance (3, 3) [m^2]; raises RecordError."""
+    """Name, coordinates (3,) [m] and covariance (3, 3) [m^2] of a line of OBSXYZ; raises RecordError."""
     message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
     name, place = _named_place(words, message)
     words.first(7, message)
@@ -147,18 +147,18 @@ def _named_place(words: Words, message: str) -> tuple[str, Floats]:
 def _read_precision(point: DeclaredPoint, words: list[str], where: SourceLocation) -> None:
     turned = next((word for word in words if word in TURNED), None)
     if turned is not None:
-        raise where.error(f"{turned}: standard deviations in turned axes are not read; give APRICOV")
+        raise where.error(f"{turned}: standard deviations in rotated axes are not read; give APRICOV")
     if "APRICOV" in words:
         point.add(point.place, _matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where))
         return
     declared = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMAS}
     sigma = np.array([where.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMAS])
     if declared:
-        point.add(point.place, np.diag(np.fmax(sigma, FIXED) ** 2), np.isfinite(sigma))
+        point.add(point.place, np.diag(np.fmax(sigma, FIXED_SIGMA_M) ** 2), np.isfinite(sigma))
 
 
 def _matrix(word: str, where: SourceLocation) -> Floats:
-    """The covariance (3, 3) [m^2] that `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)` states."""
+    """Covariance (3, 3) [m^2] written as `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`."""
     match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
     values = [where.number(v, "APRICOV") for v in match[2].split(",")] if match else []
     if match and len(values) == (3 if match[1] == "DIAG" else 9):
@@ -170,7 +170,10 @@ def _matrix(word: str, where: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class Sigmas:
-    """Standard deviations by target: those of azimuth and zenith angle [cc], distance [mm, ppm], its height [m]."""
+    """Standard deviations of a kind of target.
+
+    Azimuth and zenith angle [cc], distance [mm, ppm], height of the target [m].
+    """
 
     azimuth: float
     elevation: float
@@ -179,7 +182,7 @@ class Sigmas:
     height: float
 
     def of(self, kind: str, options: Options, value: float) -> float:
-        """Standard deviation [m, rad] of one value: as declared with the target, or as the line says."""
+        """Standard deviation [m, rad] of one value, from the options of its line or the declaration of the target."""
         option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
         declared = options.number(option, options.number("OBSE", getattr(self, kind)))
         sigma = declared * CC
@@ -192,14 +195,14 @@ class Sigmas:
 
 @dataclass
 class Polar:
-    """A polar instrument: its default target, its height [m], and its targets."""
+    """Polar instrument of the file: default target, height [m], and kinds of target."""
 
     default: str
     height: float
     targets: dict[str, Sigmas] = field(default_factory=dict)
 
     def declare(self, words: Words) -> str:
-        """A line of a kind of target with its sigmas; gives what is to be noted. Raises RecordError."""
+        """Declaration of a kind of target with its sigmas; returns a note. Raises RecordError."""
         name = words.first(5, "a target needs its name and four sigmas")[0]
         height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
         correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
@@ -212,13 +215,13 @@ class Polar:
         )
 
     def instrument(self, name: str) -> Instrument:
-        """Instrument for the set-up; a name such as AT402.392506 holds its model and serial number."""
+        """Instrument of the set-up; a name such as AT402.392506 contains model and serial number."""
         parts = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
         model, serial = parts.groups() if parts else (None, None)
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
 
     def _noise(self) -> Noise:
-        """The sigmas of the default target; those of single observations stand in columns."""
+        """Noise by the sigmas of the default target; sigmas of single observations are in columns."""
         sigmas = self.targets.get(self.default) or next(iter(self.targets.values()), None)
         if sigmas is None:
             return Noise()

@@ -1,4 +1,4 @@
-"""Input files of CERN's LGC (``.lgc``, ``.lgc2``).
+"""Format: input files of CERN's LGC (``.lgc``, ``.lgc2``).
 
 Understood are points (``*CALA``, ``*POIN``, ``*VXY`` and its kin, ``*PDOR``) and what observes them (``*OBSXYZ``),
 polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
@@ -25,7 +25,15 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import EARTH, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, as_title, read_lines, shown
-from ltsim.recordings.formats.cern_declared import FIXED, POINTS, DeclaredPoint, Polar, Words, observed_point, point_of
+from ltsim.recordings.formats.cern_declared import (
+    FIXED_AXES,
+    FIXED_SIGMA_M,
+    DeclaredPoint,
+    Polar,
+    Words,
+    observed_point,
+    point_of,
+)
 from ltsim.recordings.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
@@ -73,22 +81,22 @@ class _File:
 
     @property
     def station(self) -> str:
-        """The set-up that was declared last."""
+        """Set-up that was declared last."""
         return next(reversed(self.setups), "")
 
     def stand(self, setup: _SetUp) -> None:
-        """A further set-up; one on a point that had one gets a number."""
+        """Addition of a set-up; a repeated set-up on a point gets a number."""
         count = sum(s.point == setup.point for s in self.setups.values())
         self.setups[numbered(setup.point, count)] = setup
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True where a file begins like an LGC file."""
+    """True if a file begins like an LGC file."""
     return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", head, re.MULTILINE) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an LGC input file.
+    """Recording of an LGC input file.
 
     Raises RecordError for a malformed line, an instrument or target that is not declared, or a file without ``*END``.
     """
@@ -111,12 +119,12 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             break
     if keyword != "END" or in_frame:
         missing = "*ENDFRAME" if in_frame else "*END"
-        raise RecordError(f"the file ends without {missing}: it was cut", file=path)
+        raise RecordError(f"the file ends without {missing} and is incomplete", file=path)
     return _finished(file)
 
 
 def _lines(file: _File) -> Iterator[Words]:
-    """Words of every line that says something; comments after % and $ are dropped."""
+    """Words of every line that is not empty; comments after % and $ are dropped."""
     for i, line in enumerate(read_lines(file.path, liberal=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
@@ -135,7 +143,7 @@ def _begin(keyword: str, rest: Words, file: _File) -> None:
         _begin_setup(rest, file)
     elif keyword == "V0":
         _begin_set(rest, file)
-    elif keyword not in (*OPTIONS, *POINTS, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
+    elif keyword not in (*OPTIONS, *FIXED_AXES, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
         file.skipped.setdefault(keyword, 0)
 
 
@@ -146,7 +154,7 @@ def _begin_setup(rest: Words, file: _File) -> None:
         raise rest.where.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
     point = rest.where.name(rest.tokens[0], "station")
     if point not in file.points:
-        raise rest.where.error(f"the set-up stands on {point}, which no block of points declares")
+        raise rest.where.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = rest.options(2), file.polar[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)
@@ -154,7 +162,10 @@ def _begin_setup(rest: Words, file: _File) -> None:
 
 
 def _begin_set(rest: Words, file: _File) -> None:
-    """An orientation: the first of a set-up is its own, a further one makes a further set-up on the same point."""
+    """Begin of an orientation.
+
+    The first one of a set-up belongs to it, a further one creates another set-up on the same point.
+    """
     if not file.setups:
         raise rest.where.error("*V0 without a set-up (*TSTN) before it")
     options, name = rest.options(0), file.station
@@ -168,10 +179,10 @@ def _begin_set(rest: Words, file: _File) -> None:
 
 
 def _line(keyword: str, words: Words, file: _File) -> bool:
-    """A line of the current block; False where the block is of no use here."""
+    """Processing of a line of the current block; returns False if blocks of this kind are not supported."""
     if keyword in ("TITR", ""):
         file.title += words.tokens
-    elif keyword in POINTS:
+    elif keyword in FIXED_AXES:
         name, point = point_of(keyword, words)
         if name in file.points:
             raise words.where.error(f"the point {name} is declared twice")
@@ -210,7 +221,7 @@ def _observation(keyword: str, words: Words, file: _File) -> None:
 
 
 def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float:
-    """Reading [m, rad]: azimuth counter-clockwise, elevation instead of the zenith angle."""
+    """Reading [m, rad] with counter-clockwise azimuth, and elevation in place of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
     if kind == "elevation":
@@ -225,7 +236,7 @@ def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float
 def _finished(file: _File) -> Recording:
     pointings, instrument_heights, target_heights = settled_heights(merged(file.observed, file.path.name))
     if not pointings:
-        raise RecordError("holds no polar observations", file=file.path)
+        raise RecordError("contains no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in pointings)
     _learn(file)
     marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
@@ -255,7 +266,7 @@ def _finished(file: _File) -> Recording:
 
 
 def _learn(file: _File) -> None:
-    """Observed coordinates of the points that are not fixed already."""
+    """Use of the observed coordinates of points that are not fixed."""
     for name, place, covariance in file.placed:
         if name not in file.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
@@ -267,25 +278,25 @@ def _learn(file: _File) -> None:
 
 @dataclass(frozen=True)
 class _Plane:
-    """The plane that touches the reference in the middle of the network: `middle` (2,) [m] in plan."""
+    """Tangent plane of the curved reference in the middle of the network: `middle` (2,) [m] in plan."""
 
     middle: Floats
     curved: bool
 
     @classmethod
     def of(cls, points: list[DeclaredPoint], curved: str) -> _Plane:
-        """Plane around the median of the points in use; those at 0, 0 are place-holders."""
+        """Plane around the median of the points in use; points at 0, 0 are placeholders."""
         placed = [point.place[:2] for point in points if not point.is_placeholder]
         return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
 
     def place(self, place: Floats) -> Vector:
-        """Coordinates [mm] in the plane."""
+        """Coordinates [mm] of a place in the plane."""
         x, y, height = place.tolist()
         drop = float(np.sum((place[:2] - self.middle) ** 2)) / (2 * EARTH) if self.curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """Keys of a set-up over a point: its place and plumb line."""
+        """Keys of a set-up over a point: its place and direction of the vertical."""
         keys: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
         if levelled:
             keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
@@ -301,15 +312,15 @@ class _Plane:
             return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}
         place, covariance = point.estimate
         keys: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
-        keys["known_sigma_mm"] = FIXED / MILLIMETRE
-        if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+        keys["known_sigma_mm"] = FIXED_SIGMA_M / MILLIMETRE
+        if not all(abs(covariance[k, k] / FIXED_SIGMA_M**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
             keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
         return keys if axes == "xyz" else keys | {"approximate_mm": self.place(point.place)}
 
 
 def _notes(file: _File) -> Iterator[str]:
     if file.switched_off:
-        yield f"{file.switched_off} lines are switched off with % and left out"
+        yield f"{file.switched_off} lines are switched off with % and not used"
     for keyword, count in file.skipped.items():
         curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
         why = curved if keyword == "OBSXYZ" else "is not understood here"
@@ -318,11 +329,11 @@ def _notes(file: _File) -> Iterator[str]:
         frames = ", ".join(map(shown, file.frames))
         sentence = f"*OBSXYZ observes {len(file.framed)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.framed):
-            yield f"{sentence}; all of them are fixed, so that they locate that frame and add nothing to the network"
+            yield f"{sentence}; all of them are fixed, so they only locate that frame"
         else:
             yield f"{sentence}, whose place is not adjusted here; they are skipped"
     if file.curved:
-        sphere = "heights refer to a curved surface: a sphere is used for it, plumb lines differ by place"
+        sphere = "heights refer to a curved surface: ltsim uses a sphere, so plumb lines differ by place"
         yield f"*{file.curved}: {sphere}"
     for name in file.orientation:
         yield f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}"

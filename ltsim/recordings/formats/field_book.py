@@ -1,4 +1,4 @@
-"""The field book of a total station: set-ups over points with heights, pointings from them, to a recording."""
+"""Field book of a total station: set-ups over points with heights, and pointings from them."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,17 +18,17 @@ from ltsim.recordings.specification import LIKE_TOTAL_STATION, TOTAL_STATION
 
 @dataclass
 class FieldBook:
-    """Content of a file of a total station, as far as it is read."""
+    """Content of a total station's file, as far as it is used."""
 
     path: Path
     station: str = ""
     setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
-    """Point, height of the instrument [m] and place [mm] of each set-up."""
+    """Point, height of the instrument [m] and coordinates [mm] of each set-up, by its name."""
     pointings: list[Pointing] = field(default_factory=list)
     skipped: int = 0
 
     def stand(self, name: str, height: float, place: Vector | None, where: SourceLocation) -> None:
-        """A new set-up; a station that is occupied again gets a number."""
+        """Addition of a set-up; a station that is occupied again gets a number."""
         count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
         self.station = numbered(name, count)
         self.setups[self.station] = (name, height, place)
@@ -44,9 +44,11 @@ class FieldBook:
         height: float = NAN,
         flat: bool = False,
     ) -> None:
-        """A pointing: distance [m], clockwise circle and zenith angle [rad], NaN where not measured; height [m].
+        """Addition of a pointing: distance [m], clockwise circle and zenith angle [rad], NaN if not measured.
 
-        Raises RecordError before any station is named, or for numbers that no instrument reads.
+        Height [m].
+
+        Raises RecordError before the first station, and for values beyond any instrument.
         """
         if not self.station:
             raise where.error("a measurement before any station is named; give --hint station=NAME")
@@ -54,7 +56,7 @@ class FieldBook:
         if not (np.isnan(distance) or 0 < distance < 1e6):
             raise where.error(f"a distance of {distance:g} m")
         if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-            raise where.error("a zenith angle off the circle")
+            raise where.error("a zenith angle outside the circle")
         elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
         if np.all(np.isnan([distance, horizontal, zenith])):
             self.skipped += 1
@@ -74,7 +76,9 @@ class FieldBook:
         )
 
     def recording(self, kind: str, *notes: str) -> Recording:
-        """The recording: levelled set-ups over points, a total station's noise; `kind` is of the file, for its notes.
+        """Recording with levelled set-ups over points and the noise of a total station.
+
+        `kind` names the format in its notes.
 
         Raises RecordError where nothing was measured.
         """

@@ -25,10 +25,10 @@ from ltsim.recordings.formats.gama_network import (
     GamaPoint,
     covariances,
     differences_of,
+    drop_undetermined_heights,
     lengths_of,
     named,
     shared_errors,
-    take_plan,
 )
 from ltsim.recordings.pointings import NAN, Observed, merged, recording_of, settled_heights
 from ltsim.recordings.recording import Recording
@@ -47,11 +47,13 @@ from ltsim.recordings.xml import Node, parse
 MIRRORED_AXES, DIRECT_AXES = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 CC = FACTOR["cc"]
 STDEV_OF = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
-"""Names of the attributes with the standard deviation of each kind of observation."""
+"""Attributes that hold the standard deviation, by kind of observation."""
 NAMES = ("id", "from", "to", "bs", "fs")
 """Attributes that name a point."""
 Spread = tuple[float, dict[str, float]]
-"""Standard deviation of an observation by itself (NaN: by default), and its share of errors by their name [mm, cc]."""
+"""Standard deviation of the independent part of an observation (NaN: the default), and the change by each shared error,
+by name [mm, cc].
+"""
 CORRELATIONS = "correlations between observed coordinates of different points are left out"
 BETWEEN = "correlations between height differences, or between vectors, are left out"
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
@@ -63,7 +65,10 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an input file of gama-local; raises RecordError for XML that is malformed, hostile or not of this kind."""
+    """Recording of an input file of gama-local.
+
+    Raises RecordError for XML that is malformed, unsafe or of another kind.
+    """
     root = parse(path)
     if root.tag not in ("gama-local", "gama-xml"):
         raise RecordError(f"the root is <{shown(root.tag)}>, expected <gama-local>", file=path)
@@ -84,7 +89,10 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _without_slashes(root: Node, network: GamaNetwork) -> None:
-    """Write names of points with `_` in place of `/`, which the name of a target may not hold; no `..` is a name."""
+    """Replacement of `/` in names of points by `_`, because target names must not contain it.
+
+    `..` is not permitted either.
+    """
     named = [(element, key) for element in root.element.iter() for key in NAMES if key in element.attrib]
     given = dict.fromkeys(element.attrib[key] for element, key in named)
     names: dict[str, str] = {}
@@ -101,7 +109,7 @@ def _without_slashes(root: Node, network: GamaNetwork) -> None:
 def _read_axes(node: Node, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
     if axes not in (*MIRRORED_AXES, *DIRECT_AXES) or angles not in ("left-handed", "right-handed"):
-        message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is no system that gama-local knows"
+        message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is not a system of gama-local"
         raise node.where.error(message)
     network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
@@ -114,7 +122,7 @@ def _read_parameters(node: Node, network: GamaNetwork) -> None:
     network.apriori = node.number("sigma-apr", network.apriori)
     if "sigma-apr" in node:
         apriori = shown(node.get("sigma-apr"))
-        network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is the one found here times that")
+        network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is this factor times the one of ltsim")
     if "latitude" in node or "ellipsoid" in node:
         network.notes.append("latitude and ellipsoid are not used: no reduction of observations to an ellipsoid")
 
@@ -135,7 +143,10 @@ def _read_part(node: Node, network: GamaNetwork) -> None:
 
 
 def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
-    """Coordinates as known (fixed) along some axes and approximate along the others; capitals define the datum."""
+    """Point of an element: known (fixed) along some axes, approximate along the others.
+
+    Capital letters define the datum.
+    """
     name = node.name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
     sign = {"x": 1.0, "y": network.y_sign, "z": 1.0}
@@ -145,7 +156,7 @@ def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
         if word.lower() not in ("", "xyz", "xy", "z"):
             raise node.where.error(f"point {name}: '{shown(word)}' is not one of xyz, xy, z")
     if any(axis not in point.values for axis in fixed.lower()):
-        raise node.where.error(f"point {name} is fixed without all its coordinates")
+        raise node.where.error(f"point {name} is fixed, but lacks coordinates")
     point.fixed = "".join(sorted({*point.fixed, *fixed.lower()}))
     point.datum = _axes(point.datum + "".join(filter(str.isupper, adjusted)))
     point.active = _axes(point.active + fixed + adjusted)
@@ -157,7 +168,7 @@ def _axes(letters: str) -> str:
 
 
 def _read_coordinates(node: Node, network: GamaNetwork) -> None:
-    """Observed coordinates: known with their covariance; what correlates different points is left out."""
+    """Observed coordinates of an element, known with their covariance; correlations between points are ignored."""
     row, column, numbers = covariances(node)
     sign, at = np.array([1.0, network.y_sign, 1.0]), 0
     for inner in [inner for inner in node if inner.tag == "point"]:
@@ -179,7 +190,7 @@ def _read_coordinates(node: Node, network: GamaNetwork) -> None:
 
 
 def _read_obs(block: Node, network: GamaNetwork) -> None:
-    """Read a block of observations from a point, or with ``from`` at every observation."""
+    """Observations of a block, from one point or from the `from` of each observation."""
     inner = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariances(block)
     if len(numbers) and row[-1] + 1 != len(inner):
@@ -229,7 +240,7 @@ def _observation(child: Node, block: Node, station: str, spread: Spread, network
 
 
 def _read_angle(child: Node, block: Node, spread: Spread, network: GamaNetwork) -> None:
-    """An angle is two directions with an orientation of their own, each with its sigma over the square root of 2."""
+    """Angle as two directions of a separate orientation, each with its sigma divided by the square root of 2."""
     station = network.station(_from(child, block), with_directions=True)
     value, second = _angle(child)
     sigma, shared = _in_unit(spread, network.angle_sign * second, child, network)
@@ -242,14 +253,14 @@ def _read_angle(child: Node, block: Node, spread: Spread, network: GamaNetwork) 
 def _in_unit(
     spread: Spread, unit: float, child: Node, network: GamaNetwork, distance: float = 0.0
 ) -> tuple[float, dict[str, float]]:
-    """The standard deviation and what shared errors change, times a unit with the sign of the reading's sense."""
+    """Standard deviation and shared errors multiplied by a unit, with the sign of the sense of the reading."""
     sigma, shared = spread
     alone = sigma if np.isfinite(sigma) else _stdev(child, network, distance)
     return alone * abs(unit), {name: error * unit for name, error in shared.items()}
 
 
 def _angle(child: Node) -> tuple[float, float]:
-    """Angle [rad] in gon or degrees-minutes-seconds, and the second [rad] its standard deviation is stated in."""
+    """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation."""
     parts = _DMS.fullmatch(child.attribute("val"))
     if parts is None:
         return child.number("val", limit=1e4) * GON, CC
@@ -258,11 +269,11 @@ def _angle(child: Node) -> tuple[float, float]:
 
 
 def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
-    """Standard deviation as stated for the observation, or by default: ``a``, or ``a b c`` = a + b D^c, D in km."""
+    """Standard deviation of an observation, or the default: ``a``, or ``a b c`` for a + b D^c with D in km."""
     kind = STDEV_OF.get(child.tag, child.tag)
     words = child.get("stdev", network.stdev.get(kind, "")).split()
     if not 0 < len(words) < 4:
-        message = f"no standard deviation is stated for <{shown(child.tag)}>, expected one (stdev, or {kind}-stdev)"
+        message = f"no standard deviation is given for <{shown(child.tag)}>, expected one (stdev, or {kind}-stdev)"
         raise child.where.error(message)
     coefficients = [child.where.number(word, "stdev", limit=1e9) for word in words]
     a, b, c = [*coefficients, 0.0, 1.0][:3] if len(coefficients) == 1 else [*coefficients, 1.0][:3]
@@ -273,16 +284,16 @@ def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
 
 
 def _finished(network: GamaNetwork) -> Recording:
-    take_plan(network)
+    drop_undetermined_heights(network)
     gauge, observed = lengths_of(network)
     pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
-    no_place = "left out: a recording has no place for it"
+    no_place = "not read: a recording cannot contain it"
     skipped = [f"{count} <{shown(what)}> {no_place}" for what, count in network.skipped.items()]
     if not pointings and network.differences:
-        message = "holds height differences or vectors and no pointing, expected readings of instruments too"
+        message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
     if not pointings and skipped:
-        raise RecordError(f"holds no pointings, and {'; '.join(skipped)}", file=network.file)
+        raise RecordError(f"contains no pointings, and {'; '.join(skipped)}", file=network.file)
     network.notes += skipped
     stations = {
         name: Station(
@@ -325,7 +336,7 @@ def _target(point: GamaPoint, height: float) -> Target:
 
 
 def _noise(network: GamaNetwork) -> Noise:
-    """The file's default standard deviations; those of single observations stand in columns."""
+    """Default standard deviations of the file; those of single observations are in columns."""
 
     def default(kind: str, otherwise: float) -> float:
         words = network.stdev.get(kind, "").split()

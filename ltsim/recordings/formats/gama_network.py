@@ -1,4 +1,4 @@
-"""Content of an input file of GNU Gama before it is a recording, and the observations that it states with a matrix."""
+"""Content of an input file of GNU Gama, and its observations with a covariance matrix."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,12 +16,12 @@ from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
 from ltsim.recordings.xml import Node, banded
 
 FIXED_MM = 1e-4
-"""Standard deviation of a fixed coordinate."""
+"""Standard deviation [mm] of a fixed coordinate."""
 
 
 @dataclass
 class GamaPoint:
-    """A point of the file: coordinates [m] by axis, and the axes that are fixed, of the datum, or used."""
+    """Point of the file: coordinates [m] by axis; axes that are fixed, in the datum, or used."""
 
     values: dict[str, float] = field(default_factory=dict)
     fixed: str = ""
@@ -29,23 +29,23 @@ class GamaPoint:
     active: str = ""
     sigma: float = FIXED_MM
     covariance: tuple[float, ...] | None = None
-    """xx, xy, xz, yy, yz, zz [mm^2]."""
+    """Covariance xx, xy, xz, yy, yz, zz [mm^2]; None if not given."""
 
     @property
     def place(self) -> Vector | None:
-        """Coordinates [mm], where all three are there."""
+        """Coordinates [mm]; None if one of the three is missing."""
         return self.coordinates if len(self.values) == 3 else None
 
     @property
     def coordinates(self) -> Vector:
-        """Coordinates [mm], 0 for what is not there."""
+        """Coordinates [mm], 0 for missing ones."""
         x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
 
 
 @dataclass
 class GamaNetwork:
-    """Content read so far."""
+    """Network of the file as far as it has been read."""
 
     file: Path
     title: str = ""
@@ -65,15 +65,18 @@ class GamaNetwork:
     notes: list[str] = field(default_factory=list)
 
     def station(self, point: str, *, with_directions: bool = False) -> str:
-        """Name of the set-up over a point; further sets of directions get further set-ups."""
+        """Name of the set-up over a point; each further set of directions gets another set-up."""
         self.sets[point] += with_directions
         name = numbered(point, max(self.sets[point] - 1, 0))
         self.over[name] = point
         return name
 
 
-def take_plan(network: GamaNetwork) -> None:
-    """Drop observations of heights that are neither fixed nor adjusted, and hold those heights, as Gama does."""
+def drop_undetermined_heights(network: GamaNetwork) -> None:
+    """Removal of height observations that are neither fixed nor adjusted.
+
+    Their heights are held fixed, as Gama does.
+    """
     flat = {name for name, point in network.points.items() if point.active == "xy"}
     if not flat:
         return
@@ -103,7 +106,10 @@ def take_plan(network: GamaNetwork) -> None:
 
 
 def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed]]:
-    """Slope distances from points where nothing else is measured, between marks that others see: known lengths."""
+    """Slope distances that become reference lengths, and all other observations.
+
+    Such a distance is between marks that others observe, from a point without other measurements.
+    """
     angles = {o.station for o in network.observed if o.kind != "distance" or o.horizontal}
     targets = {o.target for o in network.observed if o.station in angles}
     gauge, rest = [], []
@@ -118,7 +124,7 @@ def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed
 
 
 def named(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
-    """The differences, with a number where several join the same points, as a line that was levelled twice."""
+    """Differences with a number where several join the same points, such as a line that was levelled twice."""
     before: Counter[str] = Counter()
     for difference in differences:
         number = before[difference.called]
@@ -126,14 +132,14 @@ def named(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifferenc
         yield difference.model_copy(update={"name": numbered(difference.called, number)}) if number else difference
 
 
-MOST_SHARED = 500
-"""Observations of a file that are correlated: each error that they share is an unknown of the adjustment."""
-EQUAL = 1e-6
-"""Eigenvalue of a correlation that counts as none, and share by which two are taken for one."""
+MAX_SHARED = 500
+"""Largest number of correlated observations in a file: each shared error is an unknown of the adjustment."""
+EIGENVALUE_TOLERANCE = 1e-6
+"""Eigenvalue of a correlation matrix that counts as zero, and relative difference up to which two count as equal."""
 
 
 def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
-    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form, [mm^2] or [cc^2]."""
+    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form [mm^2] or [cc^2]."""
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
@@ -142,16 +148,16 @@ def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
 
 
 def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[ReferenceDifference], bool]:
-    """Height differences or vectors of a section, and a flag: correlations between them were dropped.
+    """Height differences or vectors of a section, and a flag that correlations between them were ignored.
 
-    A height difference without a standard deviation has `apriori` mm times the root of its way in kilometres.
+    A height difference without a standard deviation has `apriori` mm times the square root of its length in kilometres.
     """
     inner = [child for child in section if child.tag != "cov-mat"]
     tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
     row, column, numbers = covariances(section)
     wrong = next((child for child in inner if child.tag != tag), None)
     if wrong is not None:
-        raise wrong.where.error(f"<{shown(wrong.tag)}> stands in <{section.tag}>, expected <{tag}>")
+        raise wrong.where.error(f"<{shown(wrong.tag)}> is in <{section.tag}>, expected <{tag}>")
     if len(numbers) and row[-1] + 1 != size * len(inner):
         raise section.where.error("a <cov-mat> that does not match its observations")
     whole, differences = np.zeros((size * len(inner),) * 2), []
@@ -165,11 +171,11 @@ def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[R
 
 
 def _sigma(child: Node, apriori: float) -> float:
-    """Standard deviation [mm] as stated, or by the length of a levelled line."""
+    """Standard deviation [mm] as declared, or from the length of a levelling line."""
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
         wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
-        raise child.where.error(f"no standard deviation is stated for <{child.tag}>, expected one ({wanted})")
+        raise child.where.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
     value = max(child.number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori * float(np.sqrt(value))
 
@@ -192,15 +198,15 @@ def _difference(child: Node, y_sign: float, spread: Floats) -> ReferenceDifferen
         return ReferenceDifference.model_validate({**ends, "known_mm": vector, **precision})
     except ValidationError:
         wanted = "values below 1e8 m, and variances that are positive in every direction"
-        raise child.where.error(f"<{child.tag}> is too large, or its covariance is none, expected {wanted}") from None
+        raise child.where.error(f"<{child.tag}> is too large, or its covariance is wrong, expected {wanted}") from None
 
 
 def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
-    """Standard deviations (n,) of observations by themselves, and the effects (n, q) of the q errors that they share.
+    """Standard deviations (n,) of the independent parts of observations, and effects (n, q) of q shared errors.
 
-    With F the latter and D the former on the diagonal the stated covariance is D^2 + F F': F is as few errors as leave
-    every observation one of its own. Observations that are correlated with no other share none; `before` is how many
-    others share already.
+    With effects F and independent standard deviations on the diagonal of D, the declared covariance is D^2 + F F'. F
+    has the smallest number of errors that leaves every observation an independent part. Uncorrelated observations share
+    none; `before` is the number of shared errors of earlier observations.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):
@@ -208,9 +214,9 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     sigma = np.sqrt(numbers[diagonal])
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
-    if before + len(sigma) > MOST_SHARED:
+    if before + len(sigma) > MAX_SHARED:
         message = (
-            f"more than {MOST_SHARED} observations are correlated, expected fewer; give variances alone with band 0"
+            f"more than {MAX_SHARED} observations are correlated, expected fewer; give variances alone with band 0"
         )
         raise block.where.error(message)
     correlation = np.zeros((len(sigma),) * 2)
@@ -221,9 +227,9 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     for first in np.unique(np.argmax(linked, axis=1)).tolist():
         if len(group := np.flatnonzero(linked[first])) > 1:
             values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
-            if values[0] < EQUAL:
-                raise block.where.error("a <cov-mat> that is no covariance, expected one that is positive definite")
-            more = values > values[0] * (1.0 + EQUAL)
+            if values[0] < EIGENVALUE_TOLERANCE:
+                raise block.where.error("a <cov-mat> that is not positive definite")
+            more = values > values[0] * (1.0 + EIGENVALUE_TOLERANCE)
             factors = np.zeros((len(sigma), int(more.sum())))
             factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
             reach.append(factors)

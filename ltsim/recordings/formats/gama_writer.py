@@ -21,22 +21,22 @@ SPACE = "http://www.gnu.org/software/gama/gama-local"
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write an input file of gama-local: levelled set-ups, face 2 reduced to face 1, gauge lengths as distances.
+    """Input file of gama-local: levelled set-ups, face 2 reduced to face 1, gauge lengths as distances.
 
-    Where no coordinates are known, the targets of the first set-up get those it saw and define the datum.
+    If no coordinates are known, the targets of the first set-up have its coordinates and define the datum.
 
-    Raises RecordError for a set-up that is not levelled: gama-local knows levelled instruments only. For SMRs of
-    several radii: it knows heights of a target, no normals.
+    Raises RecordError for a set-up that is not levelled and for SMRs of several radii, which gama-local does not
+    support.
     """
     if excess_radii(recording) is not None:
-        message = "SMRs of several radii stood off along normals of nests, which gama-local does not know"
+        message = "SMRs of several radii are offset along the normals of nests, which gama-local does not support"
         raise RecordError(f"{message}; write the recording as native", file=path)
     if any(SHARED_COLUMN.fullmatch(name) for name in recording.covariates):
-        raise RecordError("holds errors that readings share, which is written as native only", file=path)
+        raise RecordError("contains errors that readings share, which only the native format supports", file=path)
     for name in recording.stations:
         if not recording.station_setup(name).levelled:
-            message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
-            raise RecordError(f"{message}; set levelled = true in setup.toml where it is", file=path)
+            message = f"station {name} is not levelled, and gama-local supports only levelled instruments"
+            raise RecordError(f"{message}; set levelled = true in setup.toml if it is levelled", file=path)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<gama-local xmlns="{SPACE}">',
@@ -56,7 +56,7 @@ def write(recording: Recording, path: Path) -> None:
 
 
 def _point_of(recording: Recording, station: str) -> str:
-    """Name of the point a station stands on: a target's mark, or one of its own."""
+    """Name of the point under a station: a target's mark, or a separate point."""
     over = recording.station_setup(station).over
     if over is not None:
         return over
@@ -64,7 +64,7 @@ def _point_of(recording: Recording, station: str) -> str:
 
 
 def _point_lines(recording: Recording) -> Iterator[str]:
-    """Points: fixed, observed with a variance, or adjusted; the datum in capitals."""
+    """Elements of the points: fixed, observed with a variance, or adjusted; those of the datum in capitals."""
     names = dict.fromkeys([*recording.targets, *recording.setup.targets])
     anchored = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
     first = {} if anchored else _first_cloud(recording)
@@ -91,7 +91,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
 
 
 def _words(place: Vector, axes: str = "xyz") -> str:
-    """Coordinates [mm] as attributes in metres."""
+    """Coordinates [mm] as XML attributes in metres."""
     values = zip("xyz", place, strict=True)
     return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in values if axis in axes)
 
@@ -109,7 +109,7 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 
 
 def _first_cloud(recording: Recording) -> dict[str, Vector]:
-    """Coordinates [mm] of what the first set-up saw completely, in its own frame."""
+    """Coordinates [mm] of the targets that the first set-up measured completely, in its frame."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     rows = np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1))
     return {recording.targets[recording.target[i]]: points[i] for i in rows}
@@ -137,7 +137,7 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 
 def _length_lines(recording: Recording) -> Iterator[str]:
-    """Lengths of the gauge at the temperature of the measurement."""
+    """Elements of the gauge lengths at the temperature of the measurement."""
     lengths = ReferenceLengths.of(recording)
     ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first, lengths.second)]
     for first, second, length, sigma in zip(*ends, lengths.length.tolist(), lengths.sigma.tolist(), strict=True):
@@ -147,7 +147,7 @@ def _length_lines(recording: Recording) -> Iterator[str]:
 
 
 def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
-    """Known differences: height differences, and vectors with their covariance."""
+    """Elements of the reference differences: height differences, and vectors with covariance."""
     for difference in recording.setup.differences:
         ends = f"from={quoteattr(difference.from_)} to={quoteattr(difference.to)}"
         matrix = np.eye(3) * difference.known_sigma_mm**2
@@ -162,4 +162,4 @@ def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
             yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:
             message = f"the difference {difference.called} is given along {difference.known_axes}, expected z or xyz"
-            raise RecordError(f"{message}: gama-local has no other differences", file=path)
+            raise RecordError(f"{message}: gama-local has only these", file=path)

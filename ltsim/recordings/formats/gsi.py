@@ -1,4 +1,4 @@
-"""Leica GSI-8 and GSI-16: measurement blocks of theodolites, total stations and older trackers.
+"""Format: Leica GSI-8 and GSI-16, measurement blocks of theodolites, total stations and older trackers.
 
 A block is a line of words: two digits of index, four of information, sign, 8 or 16 characters of data. Understood
 are point (11), code (41 with the station's name in 42 and the instrument's height in 43), angles (21, 22), slope and
@@ -25,12 +25,12 @@ _WORD = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 _PPM = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 LENGTH = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
 ANGLE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
-"""Units of the data by the last character of the information; an angle of unit 4 is in degrees, minutes, seconds."""
+"""Factors to rad by the last character of the information field; unit 4 is degrees, minutes and seconds."""
 
 
 @dataclass(frozen=True)
 class _GsiLine:
-    """A line: information and signed data of each word by its index."""
+    """Line of the file: information and signed data of each word by its index."""
 
     words: dict[str, tuple[str, str]]
     where: SourceLocation
@@ -44,7 +44,7 @@ class _GsiLine:
             if _PPM.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != wide:
-                raise where.error(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}")
+                raise where.error(f"'{shown(text)}' is not a word of GSI-{16 if wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
         return cls(words, where)
 
@@ -52,7 +52,7 @@ class _GsiLine:
         return all(key in self.words for key in keys)
 
     def name(self, key: str) -> str:
-        """The data of a name word without the zeros that fill it."""
+        """Name in a word, without leading zeros."""
         return self.words[key][1][1:].strip().lstrip("0") or "0"
 
     def _number(self, key: str) -> float:
@@ -64,7 +64,7 @@ class _GsiLine:
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
-        """Length [m] in the unit that the word names."""
+        """Length [m] in the unit of the word."""
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
@@ -73,7 +73,7 @@ class _GsiLine:
         return self._number(key) * LENGTH[unit]
 
     def angle(self, key: str) -> float:
-        """Angle [rad]: gon, decimal degrees, degrees-minutes-seconds or mils of 6400."""
+        """Angle [rad] from gon, decimal degrees, degrees-minutes-seconds or mils (6400 per circle)."""
         if key not in self.words:
             return NAN
         unit, value = self.words[key][0][-1], self._number(key)
@@ -87,13 +87,13 @@ class _GsiLine:
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if the first line is made of GSI words."""
+    """True if the first line consists of GSI words."""
     first = next((line for line in head.splitlines() if line.strip()), "")
     return re.match(r"\*?(11|41)\d{4}[+-]", first) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read a GSI file.
+    """Recording of a GSI file.
 
     Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
     one).
@@ -107,10 +107,10 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         if line.strip():
             block = _GsiLine.of(line.strip(), SourceLocation(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
-                raise block.where.error("the last line has no line break: it was cut")
+                raise block.where.error("the last line has no line break and is incomplete")
             _take(block, file)
             before = block
-    notes = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
+    notes = [f"{file.skipped} blocks are neither a station nor a measurement and are not used"] if file.skipped else []
     return file.recording("a GSI file", *notes)
 
 

@@ -1,4 +1,4 @@
-"""OpenIndy projects (``oiProjectData`` XML): readings of trackers with radians and metres inside.
+"""Format: OpenIndy projects (``oiProjectData`` XML), readings of trackers in radians and metres.
 
 Polar, direction, distance and cartesian readings are taken. Observations of a point geometry belong to one target;
 those of planes, spheres and the like touch another place each and become targets of their own. OpenIndy's azimuth
@@ -34,14 +34,14 @@ SIGMAS = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True)
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if the root element is a project of OpenIndy."""
+    """True if the root element is an OpenIndy project."""
     return f"<{ROOT}" in head
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an OpenIndy project.
+    """Recording of an OpenIndy project.
 
-    Raises RecordError for XML that is malformed or hostile, or a reading that lacks a measurement.
+    Raises RecordError for XML that is malformed or unsafe, or a reading that lacks a measurement.
     """
     root = parse(path)
     if root.tag != ROOT:
@@ -78,7 +78,7 @@ def _pointing(
         ] += 1
         return None
     if reference not in stations:
-        raise node.where.error(f"a reading refers to station {shown(reference)}, which is not there")
+        raise node.where.error(f"a reading refers to station {shown(reference)}, which does not exist")
     measured = {m.attribute("type"): m for m in reading.inside("measurement")}
     missing = [name for name in WANTED[kind] if name not in measured]
     if missing:
@@ -88,7 +88,7 @@ def _pointing(
         raise node.where.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
-        notes["readings state another face than their zenith angle shows: the face of the zenith angle is used"] += 1
+        notes["readings have a face that contradicts their zenith angle: the face of the zenith angle is used"] += 1
     return Pointing(
         stations[reference].name("name", "station"),
         _target(node, geometries),
@@ -103,7 +103,7 @@ def _pointing(
 
 
 def _polar(values: dict[str, float]) -> tuple[float, float, float]:
-    """Range, azimuth and raw elevation; NaN for what was not measured."""
+    """Range, azimuth and raw elevation; NaN for a missing measurement."""
     if "x" in values:
         d, a, e = to_polar(np.array([[values["x"], values["y"], values["z"]]]))[0].tolist()
         return d, a, e
@@ -120,7 +120,7 @@ def _sigmas(measured: dict[str, Node]) -> dict[str, float]:
 
 
 def _target(node: Node, geometries: dict[str, Node]) -> str:
-    """Name of the point geometry, or one of its own for a touch of anything else."""
+    """Name of the target: the point geometry, or a separate name for a reading of another geometry."""
     touched = [geometries[e.get("ref")] for e in node.inside("measuredTargetGeometry") if e.get("ref") in geometries]
     point = next((geometry for geometry in touched if geometry.get("type") == "point"), None)
     if point is not None:

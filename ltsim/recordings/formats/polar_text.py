@@ -1,4 +1,4 @@
-"""Plain polar text: ``station target horizontal vertical distance``, one pointing a line.
+"""Format: plain polar text, ``station target horizontal vertical distance``, one pointing per line.
 
 Separated by blanks, tabs or commas, decimal point or comma, raw readings on one or two faces. Lines that
 begin with ``#`` are comments, of which ``# Units: gon mm``, ``# Azimuth: clockwise`` and ``# Vertical:
@@ -30,7 +30,7 @@ _POLAR = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILI
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if the first lines are names and three numbers; without a station only where a comment says polar."""
+    """True if the first lines are names and three numbers; without a station only if a comment declares polar text."""
     body = [row.fields for row in rows_of_head(head) if not row.comment]
     whole = body[: max(1, min(6, len(body) - 1))]
     columns = (4, 5) if _POLAR.search(head) else (5,)
@@ -38,7 +38,10 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Readings of a polar text; raises RecordError for a malformed line, or for an option that the data leave open."""
+    """Recording of a polar text.
+
+    Raises RecordError for a malformed line, or for a convention that the data do not decide.
+    """
     return tables.read(path, _with_settings(read_lines(path, liberal=True), hints, path), positional=True)
 
 
@@ -59,7 +62,7 @@ def _with_settings(lines: list[str], hints: Hints, file: Path) -> Hints:
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write polar text in degrees and millimetres, azimuth counter-clockwise, elevation, raw on both faces.
+    """Polar text in degrees and millimetres with counter-clockwise azimuth and elevation, raw on both faces.
 
     Raises RecordError for a recording with incomplete pointings, which this format cannot hold.
     """

@@ -1,4 +1,4 @@
-"""Sokkia SDR: the field books of SDR20 (SDR2x) and SDR33, which many makers' total stations write too.
+"""Format: Sokkia SDR field books, SDR20 (SDR2x) and SDR33, also written by total stations of other makers.
 
 A record is a line of fixed fields: two digits of kind, two letters of derivation. Understood are the header (00, with
 the units), the instrument (01), stations (02), target heights (03) and observations on both faces (09F1, 09F2). The
@@ -21,17 +21,19 @@ from ltsim.recordings.recording import Recording
 
 _HEADER = re.compile(r"00NMSDR(20|33)", re.ASCII)
 WIDTHS = {"20": (4, 10), "33": (16, 16)}
-"""Characters of a name and of a number, by dialect."""
+"""Widths in characters of a name and of a number, by dialect."""
 ANGLE = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
 LENGTH = {"1": 1.0, "2": FACTOR["ft"]}
 UNITS_AT, ZERO_AT = slice(40, 45), 50
-"""Columns of the units in the header, and of the digit for the zero of vertical angles in the instrument's record."""
+"""Columns of the units in the header record, and of the digit for the zero of vertical angles in
+the instrument record.
+"""
 OBSERVED = ("09F1", "09F2")
 
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Widths, units and orders that the header states."""
+    """Dialect of a file: widths, units and orders from the header."""
 
     name: int
     number: int
@@ -43,7 +45,7 @@ class _Dialect:
     def of(cls, header: str, where: SourceLocation) -> "_Dialect":
         match = _HEADER.match(header)
         if match is None:
-            raise where.error(f"'{shown(header)}' is no header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
+            raise where.error(f"'{shown(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
         units = header[UNITS_AT].ljust(5, "1")
         for digit, units_of, what in ((units[0], ANGLE, "angles"), (units[1], LENGTH, "distances")):
             if digit not in units_of:
@@ -67,7 +69,10 @@ def recognises(_: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an SDR file; raises RecordError for a malformed record, or observations from a station without a record."""
+    """Recording of an SDR file.
+
+    Raises RecordError for a malformed record, or for observations from an unknown station.
+    """
     book = FieldBook(path)
     lines = read_lines(path, liberal=True)
     dialect = _Dialect.of(lines[0], SourceLocation(path, 1))
@@ -84,7 +89,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             _observe(line, dialect, book, where, height=height, from_horizon=from_horizon)
         elif kind == "09":
             skipped += 1
-    notes = [f"{skipped} observations that the instrument had corrected or averaged are left out"] if skipped else []
+    notes = [f"{skipped} observations that the instrument corrected or averaged are not used"] if skipped else []
     return book.recording("an SDR file", *notes)
 
 

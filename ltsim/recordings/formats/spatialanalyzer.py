@@ -1,4 +1,4 @@
-"""SpatialAnalyzer's instrument report (``Instruments - CompositeReport``) exported as text.
+"""Format: instrument report of SpatialAnalyzer (``Instruments - CompositeReport``) exported as text.
 
 Blocks of a set-up: its pose (``Transform``), then its observations, which are a table like any other with columns that
 are known. Semicolons and decimal commas, or commas and points; units stand in the headings. The column called elevation
@@ -34,14 +34,14 @@ TITLE = "CompositeReport"
 SAME_POINT = 2e-3
 COLUMNS = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 UNITS = {"target": None, "azimuth": ANGLES, "elevation": ANGLES, "distance": LENGTHS}
-"""Columns that a block needs, with the units that they may have."""
+"""Columns that a block must have, with their permitted units."""
 READ_COLUMNS = (*UNITS, "datetime", "offset1", "offset2")
 _HEADING = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 
 
 @dataclass
 class _Block:
-    """Block of a set-up: heading, pose in the units printed, announced count and rows with the heading first."""
+    """Block of a set-up: heading, pose in units of the file, announced number of rows, and rows with the heading."""
 
     collection: str
     number: str
@@ -52,13 +52,13 @@ class _Block:
     rows: list[Row] = field(default_factory=list)
 
     def cell(self, row: Row, title: str) -> str:
-        """A cell of a row by the title of its column; empty without such a column."""
+        """Cell of a row by the title of its column; empty without such a column."""
         titles = self.rows[0].fields
         return row.cell(titles.index(title)) if title in titles else ""
 
     @property
     def pose(self) -> Pose | None:
-        """Rotation about the fixed axes x, y, z in this order, and position."""
+        """Rotation about the fixed axes x, y, z in this order, and position; None without a pose."""
         if self.position is None or self.rotation is None:
             return None
         from scipy.spatial.transform import Rotation
@@ -67,23 +67,23 @@ class _Block:
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if the report's title or the heading of its observations stands at its beginning."""
+    """True if the file begins with the title of the report or the heading of its observations."""
     return TITLE in head or _HEADING.search(head) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an instrument report.
+    """Recording of an instrument report.
 
-    Raises RecordError for a malformed or cut report, or for an option that the data leave open.
+    Raises RecordError for a malformed or truncated report, or for a convention that the data do not decide.
     """
     blocks = [block for block in _blocks(path) if block.rows]
     if not blocks:
-        raise RecordError("holds no block of observations", file=path)
+        raise RecordError("contains no block of observations", file=path)
     names = _station_names(blocks)
     used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
     remarks, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
     if off:
-        remarks.append(f"{off} observations are switched off in the report and left out")
+        remarks.append(f"{off} observations are switched off in the report and not used")
     hints = replace(hints, columns=COLUMNS, date=hints.date or "dmy")
     table = table_of(
         [_sheet(*block_parts, path) for block_parts in zip(blocks, names, used, strict=True) if block_parts[2]],
@@ -104,11 +104,11 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _cells(path: Path) -> Iterator[Row]:
-    """Every row that holds something, with the line that it ends in."""
+    """Every row that is not empty, with the line where it ends."""
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING.match(line)), None)
     if heading is None:
-        raise RecordError("holds no heading 'Collection, Group, Target, ...': it was cut, or is no report", file=path)
+        raise RecordError("contains no heading 'Collection, Group, Target, ...': it is incomplete", file=path)
     separator = heading.replace('"', "")[len("Collection")]
     reader = csv.reader((line + "\n" for line in lines), delimiter=separator, strict=True)
     try:
@@ -120,7 +120,7 @@ def _cells(path: Path) -> Iterator[Row]:
 
 
 def _blocks(path: Path) -> list[_Block]:
-    """The set-ups of a report in their order; a pose repeated on a further page changes nothing."""
+    """Set-ups of a report in order; a pose repeated on a further page is ignored."""
     blocks: dict[tuple[str, str], _Block] = {}
     current: _Block | None = None
     what = ""
@@ -140,13 +140,13 @@ def _blocks(path: Path) -> list[_Block]:
     for block in blocks.values():
         if block.rows and block.count not in (None, len(block.rows) - 1):
             held = f"{block.count} observations and holds {len(block.rows) - 1}"
-            message = f"set-up {shown(block.number)} announces {held}: the report was cut or edited"
+            message = f"set-up {shown(block.number)} announces {held}: the report is incomplete or edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 
 
 def _heading(cell: str, where: SourceLocation) -> tuple[str, str, str]:
-    """Collection, number and model from ``A::0 - Leica AT960``."""
+    """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
     parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
     if parts is None:
         raise where.error("a block without the name of its set-up")
@@ -168,12 +168,15 @@ def _read_pose(block: _Block, fields: Sequence[str], where: SourceLocation) -> N
 
 
 def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
-    """Raise RecordError where a column that is needed is missing, doubled, or in no unit that is known."""
+    """Check of the headings.
+
+    Raises RecordError for a required column that is missing, repeated, or in an unknown unit.
+    """
     named = [words_of(field) for field in fields]
     for wanted, allowed in UNITS.items():
         units = [unit for word, unit in named if word == wanted]
         if len(units) != 1:
-            message = f"the heading holds {len(units)} columns called {wanted.capitalize()}, expected one"
+            message = f"the heading has {len(units)} columns called {wanted.capitalize()}, expected one"
             raise where.error(message)
         if allowed is not None and units[0] not in allowed:
             message = f"unit '{shown(units[0])}' in this heading, expected one of {', '.join(allowed)}"
@@ -181,7 +184,7 @@ def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
 
 
 def _sheet(block: _Block, name: str, rows: list[Row], file: Path) -> Sheet:
-    """The columns of a set-up's table that a recording keeps; offsets carry their unit in their name."""
+    """Columns of a set-up's table that a recording retains; offsets have their unit in their name."""
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = words_of(title)
@@ -192,7 +195,7 @@ def _sheet(block: _Block, name: str, rows: list[Row], file: Path) -> Sheet:
 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
-    """``Instrument_0`` where numbers are unique, otherwise with the collection."""
+    """Names of the stations: ``Instrument_0`` if numbers are unique, otherwise with the collection."""
     numbers = [block.number for block in blocks]
     if len(set(numbers)) == len(numbers):
         return [f"Instrument_{number}" for number in numbers]
@@ -202,7 +205,7 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
 def _distinguish_points(
     table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]
 ) -> list[str]:
-    """Prefix names of points at several places with their group, in place; notes about it."""
+    """Prefixing (in place) of point names that occur at several places with their group; returns notes."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
     for station, target, member_of, point in zip(
@@ -221,7 +224,7 @@ def _distinguish_points(
 
 
 def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
-    """Name for each group: the place seen from most stations, then most often, keeps the name as it is."""
+    """Name for each group: the place seen from most stations (then with most pointings) keeps the plain name."""
     clusters: list[tuple[Floats, list[str]]] = []
     for group, members in groups.items():
         centre = np.median([place for _, place in members], axis=0)
@@ -245,7 +248,7 @@ def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> d
 
 
 def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
-    """Rough poses and, where the report names several, one instrument a model."""
+    """Set-up with rough poses and, if the report names several, one instrument per model."""
     stations = {}
     for name, block in zip(names, blocks, strict=True):
         position = yaw = None

@@ -1,1 +1,1 @@
-"""Delimited text and workbooks of whatever dialect: bytes to rows, header to meaning, conventions, recording."""
+"""Delimited text and workbooks: from bytes to rows, from the header to roles, conventions, and the recording."""

@@ -1,4 +1,4 @@
-"""Suggested ``--columns`` for a table with a header without meaning, from the content of its columns."""
+"""Suggestions for ``--columns`` for a table whose header has no recognised titles, from the content of its columns."""
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -13,44 +13,47 @@ from ltsim.recordings.tables.sheets import Row, Sheet
 from ltsim.recordings.transcription_errors import FULL_RADIANS, SHORTEST_MM
 
 SAMPLE = 400
-MOST_TRIED = 20
-"""Assignments of columns that are tried on the whole sheet, the likelier first."""
+MAX_TRIED = 20
+"""Largest number of assignments of columns that are tried on the whole sheet, most likely first."""
 SAMPLE_CELLS = 100_000
-"""Cells of the first rows of a table by whose content it is advised."""
+"""Number of cells, from the first rows of a table, that the suggestions are based on."""
 LONG_M = SHORTEST_MM
-"""A distance or coordinate of a table without units is advised in metres below this number, in millimetres above."""
+"""Number below which a distance or coordinate without unit is suggested in metres; in millimetres above."""
 Columns = Sequence[tuple[str, ...]]
 ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 
 
 def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
-    """Sentence for a header without meaning; `serves` is true for ``--columns`` that can read the sheet."""
+    """Sentence for a header without recognised titles.
+
+    `serves` returns True for ``--columns`` that can read the sheet.
+    """
     sample = sample_of(sheet)
     head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
     body = [row.fields for row in sample if row.values > 1]
     if not body:
-        return "holds no row with two numbers or more: nothing that could be a pointing"
+        return "contains no row with two or more numbers, so no pointing"
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
     titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
     header = f"the header {shown(', '.join(titles), 80)}" if named else "a table without a header"
     advised = _advised(titles, [row for row in body if len(row) == width][:SAMPLE])
-    advice = next(filter(serves, advised[:MOST_TRIED]), None)
+    advice = next(filter(serves, advised[:MAX_TRIED]), None)
     if advice is not None:
-        return f'{header} does not say what its columns hold; say it, for instance --columns "{advice}"'
+        return f'{header} does not define its columns; define them, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"
-    return f"{header} does not say what its columns hold, and {reason}; if they can, say which: {ASK}"
+    return f"{header} does not define its columns, and {reason}; if they can, define them: {ASK}"
 
 
 def sample_of(sheet: Sheet) -> list[Row]:
-    """The first rows of a sheet, `SAMPLE_CELLS` cells of it."""
+    """First rows of a sheet, with `SAMPLE_CELLS` cells in total."""
     cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
     pairs = zip(sheet.rows, cells_before, strict=False)
     return [row for row, _ in takewhile(lambda pair: pair[1] < SAMPLE_CELLS, pairs)]
 
 
 def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
-    """Assignments of columns that the values allow, the likelier first: names, a face, then readings or coordinates."""
+    """Assignments of columns that the values permit, most likely first: names, a face, then readings or coordinates."""
     columns: list[tuple[str, ...]] = list(zip(*body, strict=True))
     times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
     rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
@@ -88,7 +91,7 @@ def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
-    """Columns that may hold an angle, each alone or with the minutes and seconds behind it."""
+    """Columns that may hold an angle, each alone or with the minutes and seconds in the next columns."""
     angles: list[tuple[int, ...]] = []
     taken: set[int] = set()
     for i in numbers:
@@ -105,12 +108,12 @@ def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
 
 
 def _is_part(column: tuple[str, ...]) -> bool:
-    """True if all are minutes or seconds: from 0 to 60."""
+    """True if all values are possible minutes or seconds, 0 to 60."""
     return all(0 <= number < 60 for number in _numbers(column))
 
 
 def _meanings(first: Sequence[int], other: Sequence[int], columns: Columns) -> list[tuple[str, str]]:
-    """Unit and kind of the vertical angle that the numbers allow, the likelier first."""
+    """Unit and kind of the vertical angle that the numbers permit, most likely first."""
     vertical = _numbers(columns[other[0]])
     largest = max(_largest(columns[first[0]]), _largest(columns[other[0]]))
     if _is_sexagesimal(first, columns):
@@ -127,7 +130,7 @@ def _meanings(first: Sequence[int], other: Sequence[int], columns: Columns) -> l
 def _length(
     role: str, after: Sequence[int], titles: Sequence[str], columns: Columns, angle: Sequence[int]
 ) -> list[list[str]]:
-    """The first column behind the angles that can hold distances, as a list of one; empty where there is none.
+    """First column after the angles that can hold distances, as a list of one; an empty list if there is none.
 
     Distances are in metres where angles are in degrees, minutes and seconds.
     """
@@ -155,5 +158,5 @@ def _largest(column: tuple[str, ...]) -> Decimal:
 
 @lru_cache(maxsize=1024)
 def _fraction(column: tuple[str, ...]) -> bool:
-    """True if some of the numbers are not whole."""
+    """True if one of the numbers is not an integer."""
     return any(number != int(number) for number in _numbers(column))

@@ -1,4 +1,4 @@
-"""Content of one cell: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
+"""Content of one cell: a number with point or comma, degrees with minutes and seconds, a face, a date or time."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import LONGEST_NUMBER, NUMBER, is_number
+from ltsim.recordings.files import MAX_NUMBER_LENGTH, NUMBER, is_number
 
 FACES = {
     **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
@@ -19,8 +19,8 @@ FACES = {
 }
 T = TypeVar("T")
 DAY = timedelta(days=1)
-LONGEST = 60
-"""Characters of a cell that can be a number or an angle."""
+MAX_VALUE_LENGTH = 60
+"""Largest number of characters of a cell that is tested as a number or an angle."""
 _DEGREES, _MINUTES = r"°|º|˚|\^|\*|deg|d", r"'|′|’|‘|´|`|ʹ|min|m"
 _SECONDS = rf"\"|″|”|“|ʺ|(?:{_MINUTES})(?:{_MINUTES})|sec|s"
 _GAP, _PART = r":|-|\s", r"\d{1,2}(?:[.,]\d+)?"
@@ -28,7 +28,9 @@ _SEXAGESIMAL = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES}|{_GAP})\s*(\d{{1,2}})\s*(?:{_MINUTES}|{_GAP})\s*({_PART})\s*(?:{_SECONDS})?"
 )
 _TO_MINUTES = re.compile(rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES})\s*({_PART})\s*(?:{_MINUTES})()")
-"""Degrees with whole minutes and seconds, by marks, colons, hyphens or blanks; with minutes alone, by marks."""
+"""Pattern of degrees with minutes and seconds, separated by marks, colons, hyphens or blanks; with minutes alone, by
+marks.
+"""
 _PACKED = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 _DIGITS = re.compile(r"[0-9.+eE-]*")
 """Characters of decimal numbers."""
@@ -38,7 +40,7 @@ _DATE = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
 def plain(text: str) -> str:
-    """A number as Python writes it: comma or point as decimal sign, blanks and a degree sign gone."""
+    """Number in Python's notation: comma or point as decimal sign, without blanks and degree sign."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
     if comma < 0:
@@ -52,20 +54,22 @@ _BOTH = {mark: re.compile(_GROUPED[mark].pattern + rf"[{other}]\d+", re.ASCII) f
 
 
 def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
-    """The mark that groups thousands in a sheet, as ``7.000,5`` shows it for ``7.000`` in another cell; '' for none.
+    """Thousands separator of a sheet: ``7.000,5`` in one cell shows that ``7.000`` in another is 7000; '' for none.
 
     Raises RecordError where one cell groups by points and another by commas.
     """
     mixed = (cell for row in rows for cell in row if "," in cell and "." in cell)
     shown = {mark: cell for cell in mixed for mark, form in _BOTH.items() if form.fullmatch(cell)}
     if len(shown) > 1:
-        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: make them alike", file=file)
+        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: use one", file=file)
     return next(iter(shown), "")
 
 
 def is_value(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
-    return len(text) <= LONGEST and (is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None)
+    return len(text) <= MAX_VALUE_LENGTH and (
+        is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None
+    )
 
 
 def is_marked(text: str) -> bool:
@@ -74,9 +78,12 @@ def is_marked(text: str) -> bool:
 
 
 def number(text: str, grouping: str = "") -> Decimal | None:
-    """The plain number of a cell to its last digit; None where it is none. `grouping` is that of its sheet."""
+    """Plain number of a cell with all its digits; None if it is no number.
+
+    `grouping` is the thousands separator of the sheet.
+    """
     text = text.strip()
-    if len(text) > LONGEST:
+    if len(text) > MAX_VALUE_LENGTH:
         return None
     bare = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
     return Decimal(bare) if is_number(bare) else None
@@ -85,7 +92,7 @@ def number(text: str, grouping: str = "") -> Decimal | None:
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
     """Floating-point numbers (n,) of a column, NaN for an empty cell; None unless all are decimals in plain ASCII."""
     whole = "".join(texts)
-    if max(map(len, texts), default=0) > LONGEST_NUMBER or not _DIGITS.fullmatch(whole):
+    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGITS.fullmatch(whole):
         return None
     if "e" in whole.lower() and not all(map(NUMBER.fullmatch, filter(None, texts))):
         return None
@@ -96,22 +103,22 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
 
 
 def value(text: str, grouping: str = "") -> Decimal | None:
-    """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none.
+    """Number of a cell with all its digits (degrees for an angle with minutes and seconds); None if it is no number.
 
-    `grouping` is that of its sheet, by `grouping_of`.
+    `grouping` is the thousands separator of the sheet, from `grouping_of`.
     """
     plain_number = number(text, grouping)
     return _sexagesimal(text) if plain_number is None else plain_number
 
 
 def quantity(text: str, grouping: str = "") -> Decimal | None:
-    """The value of a cell that may as well be a moment: None for a clock or a date."""
+    """Number of a cell that could also be a date or time: None for a date or time."""
     return None if not is_number(text) and is_moment(text) else value(text, grouping)
 
 
 def packed(text: str) -> Decimal | None:
-    """Degrees of a cell that writes minutes and seconds as decimals (``33.120747``); None where it does not."""
-    parts = _PACKED.fullmatch(text.strip()) if len(text) <= LONGEST else None
+    """Degrees of a cell that packs minutes and seconds into decimals (``33.120747``); None for another cell."""
+    parts = _PACKED.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
     if parts is None:
         return _sexagesimal(text)
     sign, degrees, rest = parts.groups(default="")
@@ -121,7 +128,7 @@ def packed(text: str) -> Decimal | None:
 
 def _sexagesimal(text: str) -> Decimal | None:
     """Degrees of an angle in degrees, minutes and seconds, or degrees and minutes; None for anything else."""
-    if len(text) > LONGEST:
+    if len(text) > MAX_VALUE_LENGTH:
         return None
     text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
     parts = _SEXAGESIMAL.fullmatch(text) or _TO_MINUTES.fullmatch(text)
@@ -129,7 +136,7 @@ def _sexagesimal(text: str) -> Decimal | None:
 
 
 def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
-    """The angle; None where minutes or seconds reach 60 (seconds may by rounding)."""
+    """Angle in degrees; None if minutes or seconds reach 60 (seconds may by rounding)."""
     parts = Decimal(minutes), Decimal(seconds or 0)
     if parts[0] >= 60 or parts[1] > 60:
         return None
@@ -138,15 +145,15 @@ def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | N
 
 
 def face(text: str) -> int | None:
-    """1 or 2; None where the cell names no face."""
+    """Face 1 or 2; None if the cell does not name a face."""
     return FACES.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
 
 
 def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
-    """Seconds since the earliest of clocks, dates or dates with clocks, and that moment in ISO form.
+    """Seconds since the earliest of times, dates or dates with times, and that moment in ISO format.
 
-    `order` is ``dmy`` or ``mdy`` for dates with strokes. None where a text is in no known form, or where
-    strokes leave the order open (the text is "?" then).
+    `order` is ``dmy`` or ``mdy`` for dates with slashes. None for an unknown form, and for an ambiguous order of day
+    and month (the text is "?" then).
     """
     texts = [_bare(text) for text in texts]
     clocks = _all(_clock, texts)
@@ -160,7 +167,7 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
 
 
 def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | None:
-    """Every text converted; None at the first that cannot be."""
+    """Conversion of all texts; None if one cannot be converted."""
     values = []
     for text in texts:
         value_of_text = convert(text)
@@ -171,12 +178,12 @@ def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | 
 
 
 def is_moment(text: str) -> bool:
-    """True if a cell is a clock, a date or both."""
+    """True if a cell is a time of day, a date or both."""
     return has_clock(text) or any(_stamp(_bare(text), letters, None) is not None for letters in _ORDERS)
 
 
 def has_clock(text: str) -> bool:
-    """True if a cell is a clock, with or without a date."""
+    """True if a cell is a time of day, with or without a date."""
     bare = _bare(text)
     return ":" in bare and (
         _clock(bare) is not None or any(_stamp(bare, letters, None) is not None for letters in _ORDERS)
@@ -184,7 +191,7 @@ def has_clock(text: str) -> bool:
 
 
 def _bare(text: str) -> str:
-    """A moment without the apostrophe that makes a spreadsheet take it for text."""
+    """Date or time without the apostrophe that marks it as text in a spreadsheet."""
     return text.strip().removeprefix("'").strip()
 
 
@@ -195,7 +202,7 @@ def _since(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
 
 
 def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:
-    """Clocks without a date: one that falls back by more than half a day has passed midnight."""
+    """Times without a date as increasing time differences: a decrease by more than half a day is midnight."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
         if last - clock > DAY / 2:
@@ -221,7 +228,7 @@ def _clock(text: str) -> timedelta | None:
 
 
 def _stamp(text: str, letters: str, order: str | None) -> datetime | None:
-    """A date with or without a clock; the zone of an ISO stamp is ignored (all stamps share a zone)."""
+    """Date with or without time of day; the time zone of an ISO stamp is ignored (all stamps have the same zone)."""
     day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
     rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
     match, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)

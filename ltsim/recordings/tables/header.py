@@ -1,4 +1,4 @@
-"""Meaning of a header: roles of columns by English and German words, units in brackets, faces by number."""
+"""Meaning of a header: roles of columns from English and German titles, units in brackets, faces by number."""
 
 import re
 import unicodedata
@@ -23,9 +23,9 @@ SIGMA_OF = {
     **dict.fromkeys(VERTICAL, "sigma_elevation_arcsec"),
     **{axis: f"sigma_{axis}_mm" for axis in PLACE},
 }
-"""The role of a column with the standard deviation of another."""
+"""Role of the column with the standard deviation of another column, by the role of that column."""
 SIGMA = "sigma_mm"
-"""Role of a column with the standard deviation of all three coordinates."""
+"""Role of a column with one standard deviation for all three coordinates."""
 WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
     "instrument tracker stationsname setupname",
@@ -60,7 +60,7 @@ WORDS = {
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
-ALLOWED = {
+ROLE_UNITS = {
     **dict.fromkeys((*HORIZONTAL, *VERTICAL), ANGLES),
     **dict.fromkeys((*DISTANCE, *PLACE, *HEIGHTS, SIGMA, "sigma_distance_mm"), LENGTHS),
     **dict.fromkeys((f"sigma_{axis}_mm" for axis in PLACE), LENGTHS),
@@ -70,18 +70,18 @@ ALLOWED = {
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-"""Units of a role; a column in another unit has not that role."""
-WEAK = ("nr", "nummer", "no", "id")
-"""Words that name the target where no other word does."""
+"""Permitted units by role; a column in another unit does not have the role."""
+FALLBACK_TARGET_TITLES = ("nr", "nummer", "no", "id")
+"""Titles that mean the target if no other title does."""
 MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
-LONGEST_TITLE = 80
-"""Characters of a cell that can name a column."""
+MAX_TITLE_LENGTH = 80
+"""Largest number of characters of a cell that is a possible title."""
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
 MARKS = ("°", "'", '"')
-PART = "part"
-"""The role of a column with minutes or seconds of an angle whose degrees stand before it."""
+PART_ROLE = "part"
+"""Role of a column with the minutes or seconds of an angle whose degrees are in an earlier column."""
 _PARTS = tuple(
     re.compile(rf"(.*?)[\s_.-]*[\[({{]?\s*(?:{words})\s*[\])}}]?", re.IGNORECASE)
     for words in (
@@ -95,7 +95,7 @@ _VALUE = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of a table: place, header, role ('' for none), unit ('' where none is given) and face (0: any)."""
+    """Column of a table: position, title, role ('' for none), unit ('' if not given) and face (0: any)."""
 
     place: int
     title: str
@@ -103,10 +103,10 @@ class TableColumn:
     unit: str = ""
     face: int = 0
     parts: tuple[int, ...] = ()
-    """Places of the columns with minutes and seconds of an angle whose degrees stand here."""
+    """Positions of the columns with minutes and seconds of an angle whose degrees are in this column."""
 
     def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
-        """Cells of the column in a table by column; degrees, minutes and seconds of several as one angle."""
+        """Cells of the column in a table by column; degrees, minutes and seconds of several columns are joined."""
         if not self.parts:
             return table[self.place]
         parts = zip(*(table[place] for place in (self.place, *self.parts)), strict=True)
@@ -114,20 +114,20 @@ class TableColumn:
 
     @property
     def is_further(self) -> bool:
-        """True where it is retained in addition to the pointing: a column that has a name and is no part of it."""
+        """True for an additional column that is retained: it has a title and is not part of a pointing."""
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
 
 def columns_of(fields: Sequence[str]) -> list[TableColumn]:
-    """Columns of a header, each with the role and unit that its words have; see `_columns_of`."""
+    """Columns of a header (cached), each with the role and unit of its title; see `_columns_of`."""
     return list(_columns_of(tuple(fields)))
 
 
 @lru_cache(maxsize=64)
 def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
-    """Columns of a header, each with the role and unit that its words have.
+    """Columns of a header, each with the role and unit of its title.
 
-    Of two columns for one role the first has it. Faces are distinguished where every reading has two columns.
+    If two columns have one role, the first one gets it. Faces are distinguished if every reading has two columns.
     Coordinates in a table of polar readings are further columns.
     """
     candidates = _with_parts([_column(place, title) for place, title in enumerate(fields)])
@@ -140,18 +140,22 @@ def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
         assigned = column
         if assigned.face and assigned.role not in both:
             assigned = _column(assigned.place, assigned.title, faced=False)
-        if assigned.role == "target" and words_of(assigned.title)[0] in WEAK and not named <= {*WEAK}:
+        if (
+            assigned.role == "target"
+            and words_of(assigned.title)[0] in FALLBACK_TARGET_TITLES
+            and not named <= {*FALLBACK_TARGET_TITLES}
+        ):
             assigned = replace(assigned, role="")
         if assigned.role and ((assigned.role, assigned.face) in taken or (polar and assigned.role in (*PLACE, SIGMA))):
             assigned = replace(assigned, role="", face=0)
-        if assigned.role != PART:
+        if assigned.role != PART_ROLE:
             taken.add((assigned.role, assigned.face))
         columns.append(assigned)
     return distinct_titles(columns)
 
 
 def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
-    """Columns with a number behind each title that an earlier column has: titles are the keys of further columns."""
+    """Columns with a number added to each repeated title, because titles are the keys of additional columns."""
     before: Counter[str] = Counter()
     distinct = []
     for column in columns:
@@ -162,12 +166,12 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
 
 
 def _part(form: re.Pattern[str], title: str) -> re.Match[str] | None:
-    """The match of a title that ends with a unit; None for one that is too long to be a title."""
-    return form.fullmatch(title) if len(title) <= LONGEST_TITLE else None
+    """Match of a title that ends with a unit; None if there is none or the title is too long."""
+    return form.fullmatch(title) if len(title) <= MAX_TITLE_LENGTH else None
 
 
 def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
-    """The columns, with degrees, minutes and perhaps seconds of one angle in adjacent ones as one angle."""
+    """Columns in which degrees, minutes and (optionally) seconds of one angle in adjacent columns are joined."""
     joined = list(columns)
     for place, column in enumerate(columns):
         stem = _part(_PARTS[0], column.title)
@@ -183,7 +187,7 @@ def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
             places = tuple(range(place + 1, place + len(names)))
             joined[place] = TableColumn(place, column.title, role, "deg", parts=places)
             for other in places:
-                joined[other] = TableColumn(other, columns[other].title, PART)
+                joined[other] = TableColumn(other, columns[other].title, PART_ROLE)
     return joined
 
 
@@ -193,7 +197,7 @@ def _kinds_in(columns: Sequence[TableColumn]) -> int:
 
 
 def count_of_roles(fields: Sequence[str]) -> int:
-    """Number of titles among some fields that have a role by themselves: a quick test, a header has at least two."""
+    """Number of fields that have a role as a title: a quick test, since a header has at least two."""
     return sum(map(_has_role, fields))
 
 
@@ -204,19 +208,19 @@ def _has_role(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn]) -> bool:
-    """True if two of direction, vertical angle and distance are among the columns, or all three coordinates."""
+    """True for a header: two of direction, vertical angle and distance, or all three coordinates."""
     return _kinds_in(columns) > 1 or has_named_coordinates(columns)
 
 
 def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
-    """True if the columns hold x, y, z of named targets."""
+    """True if the columns include x, y, z of named targets."""
     return {"target", *PLACE} <= {column.role for column in columns}
 
 
 @lru_cache(maxsize=8192)
 def words_of(title: str) -> tuple[str, str]:
-    """The words of a header without marks and accents, and its unit ('' where it states none)."""
-    if len(title) > LONGEST_TITLE:
+    """Words of a title without punctuation and accents, and its unit ('' if it has none)."""
+    if len(title) > MAX_TITLE_LENGTH:
         return "", ""
     name, unit = _titled(title)
     if not unit:
@@ -227,7 +231,7 @@ def words_of(title: str) -> tuple[str, str]:
 
 
 def role_of(name: str) -> str:
-    """The role of a header by its words, such as `haerror` for the sigma of a direction; '' for none."""
+    """Role of a title, such as `haerror` for the sigma of a direction; '' for none."""
     name = _folded(name)
     if name in ROLE_OF:
         return ROLE_OF[name]
@@ -250,17 +254,17 @@ def _column(place: int, title: str, *, faced: bool = True) -> TableColumn:
     if numbered is not None:
         role = role_of(numbered.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
-    if role in ALLOWED and unit and unit not in ALLOWED[role]:
+    if role in ROLE_UNITS and unit and unit not in ROLE_UNITS[role]:
         # surveyors' lists have heights in a column called elevation
         role, face = ("z" if role == "elevation" and unit in LENGTHS else ""), 0
     return TableColumn(place, title, role, unit, face)
 
 
 def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn] | None:
-    """Columns of a header by ``role=Header[unit],...``; None where the header lacks one that is named.
+    """Columns of a header by ``role=Header[unit],...``; None if a named title is missing.
 
-    A header that is a number counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Roles that are not
-    named go by the words of the header.
+    A title that is a number counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Other roles follow
+    from the titles.
 
     Raises RecordError for a role or a unit that is not known.
     """
@@ -271,14 +275,14 @@ def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn
         if place is None:
             return None
         assigned[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face, tuple(parts))
-        assigned |= {part: TableColumn(part, fields[part], PART) for part in parts}
+        assigned |= {part: TableColumn(part, fields[part], PART_ROLE) for part in parts}
     kinds = {_kind(column.role) for column in assigned.values()}
     rest = [c if _kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
     return [assigned.get(c.place, c) for c in rest]
 
 
 def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, str]]:
-    """Role, face (0: any), header and unit ('': not given) of every ``role=Header[unit]``."""
+    """Role, face (0: any), title and unit ('': not given) of every ``role=Header[unit]``."""
     roles = []
     for part in filter(None, (p.strip() for p in wanted.split(","))):
         role, equals, title = part.partition("=")
@@ -289,15 +293,15 @@ def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, s
             message = f"--columns {shown(part, 60)}: expected ROLE=HEADER[UNIT] with a role among {', '.join(MAPPED)}"
             raise RecordError(message, file=file)
         name, unit = _titled(title.strip())
-        if unit and unit not in ALLOWED.get(stem, ()):
-            units = ", ".join(ALLOWED.get(stem, ("none",)))
+        if unit and unit not in ROLE_UNITS.get(stem, ()):
+            units = ", ".join(ROLE_UNITS.get(stem, ("none",)))
             raise RecordError(f"--columns {shown(part, 60)}: a unit of {stem} can be {units}", file=file)
         roles.append((stem, face, name, unit))
     return roles
 
 
 def _titled(text: str) -> tuple[str, str]:
-    """A header without the unit in brackets behind it, and that unit."""
+    """Title without the unit in brackets at its end, and that unit."""
     bracket = _BRACKET.fullmatch(text)
     if bracket is None or not bracket[1]:
         return text, ""
@@ -305,7 +309,10 @@ def _titled(text: str) -> tuple[str, str]:
 
 
 def _places(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
-    """Place of a header, or those of degrees, minutes and seconds that `title` joins by plus signs."""
+    """Position of a title, or positions of degrees, minutes and seconds that `title` joins by plus signs.
+
+    It is None if missing.
+    """
     place = _place(fields, title)
     if place is not None or "+" not in title:
         return None if place is None else (place,)
@@ -314,7 +321,7 @@ def _places(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
 
 
 def _place(fields: Sequence[str], title: str) -> int | None:
-    """Place of a header by its text with or without a unit, or by its number."""
+    """Position of a title, given with or without its unit or as a column number; None if missing."""
     for fold in (str.strip, lambda text: _titled(text)[0].casefold()):
         wanted = fold(title)
         for place, field in enumerate(fields):

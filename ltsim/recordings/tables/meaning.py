@@ -1,8 +1,8 @@
-"""Meaning of the numbers of a table: units, zenith or elevation, the sense of the circle; coordinates for readings.
+"""Conventions of a table: units, zenith angle or elevation, sense of the circle, coordinates in place of readings.
 
-The header is used where it is explicit; the data (`ltsim.recordings.conventions`) or a question decide the rest. The
-mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
-a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation are the spherical
+An explicit header is used; otherwise the data (`ltsim.recordings.conventions`) or a question to the user decide. Data
+without known positions cannot decide the sense of the circle, because the mirror image of a network is also a network.
+The titles do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation are the spherical
 coordinates of a tracker, counter-clockwise. An azimuth with a zenith angle can be either and needs a hint.
 """
 
@@ -34,17 +34,17 @@ from ltsim.recordings.pointings import indices
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exactly
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exact_function
 from ltsim.recordings.transcription_errors import SHORTEST_MM
 
-FULL, QUARTER = 360, 90
-"""[deg] Whole turn and right angle."""
+FULL_CIRCLE, QUARTER = 360, 90
+"""Full and quarter circle [deg]."""
 TALL_M = (0.2, 3.0)
-"""[m] Range of heights of instruments and targets over their marks, which distinguishes metres from millimetres."""
+"""Range [m] of heights of instruments and targets above their marks, which distinguishes metres from millimetres."""
 AMBIGUOUS_MM = 1000.0
-"""Longest distance that may as well be in metres."""
+"""Longest distance [mm] up to which a distance without unit could be in metres."""
 COMMON_FRAME_M = 2e-3
-"""[m] Common targets of two set-ups that agree so well are in one frame already."""
+"""Difference [m] of common targets up to which two set-ups count as already in one frame."""
 FROM_PLACES = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "applies to single readings, in both faces"
@@ -53,7 +53,7 @@ FROM_PLACES = (
 
 @dataclass(frozen=True)
 class ColumnInterpretation:
-    """Conversion of the printed numbers to raw readings; `notes` lists the decisions."""
+    """Conversion of the numbers of a table to raw readings; `notes` lists the decisions."""
 
     horizontal_unit: str
     vertical_unit: str
@@ -63,25 +63,25 @@ class ColumnInterpretation:
     notes: tuple[str, ...] = ()
 
     def readings(self, printed: PrintedPointings) -> Floats:
-        """Raw ranges [m], azimuths, elevations [rad] (n, 3), in the numbers that a native file would hold."""
+        """Raw ranges [m], azimuths and elevations [rad] (n, 3), equal to those of a native file."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
         def azimuth(turn: Any, degree: Any) -> Any:
-            return -turn % (FULL * degree) if clockwise else turn
+            return -turn % (FULL_CIRCLE * degree) if clockwise else turn
 
         def elevation(rise: Any, degree: Any) -> Any:
             up = QUARTER * degree - rise if zenith else rise
-            return np.where(up < -QUARTER * degree, up + FULL * degree, up)
+            return np.where(up < -QUARTER * degree, up + FULL_CIRCLE * degree, up)
 
         polar = [
-            exactly(printed.of(DISTANCE), ratio(self.length_unit, "mm")),
-            exactly(printed.of(HORIZONTAL), ratio(self.horizontal_unit, "deg"), azimuth),
-            exactly(printed.of(VERTICAL), ratio(self.vertical_unit, "deg"), elevation),
+            exact_function(printed.of(DISTANCE), ratio(self.length_unit, "mm")),
+            exact_function(printed.of(HORIZONTAL), ratio(self.horizontal_unit, "deg"), azimuth),
+            exact_function(printed.of(VERTICAL), ratio(self.vertical_unit, "deg"), elevation),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str) -> str:
-        """Unit of the readings that a column of sigmas or heights belongs to, where it states none."""
+        """Unit of the reading to which a column of sigmas or heights without unit belongs."""
         return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
             role, self.length_unit
         )
@@ -90,11 +90,11 @@ class ColumnInterpretation:
 def readings_of(
     table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path
 ) -> tuple[ColumnInterpretation, Floats]:
-    """Meaning of the table's numbers, and the raw readings (n, 3) [m, rad] that they are.
+    """Interpretation of the numbers of a table, and its raw readings (n, 3) [m, rad].
 
-    Rough `poses` of stations, by the order in which the table names them, decide the sense of the circle.
+    Rough `poses` of stations, by their order in the table, decide the sense of the circle.
 
-    Raises RecordError, asking for what neither header nor data decide, with the option to type.
+    Raises RecordError, with the option to type, if neither header nor data decide.
     """
     if table.holds_places:
         return _readings_of_places(table, hints, file)
@@ -138,7 +138,7 @@ def _angles(
 
 
 def _length(declared: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
-    """Unit of the distances: as declared, by heights in the table, by their size, or by a hint."""
+    """Unit of the distances, with notes: declared, or from heights in the table, their size, or a hint."""
     if declared or not np.isfinite(polar.distance).any():
         return declared or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
@@ -151,7 +151,7 @@ def _length(declared: str, polar: PolarTable, table: PointingTable, hints: Hints
     tall = [abs(float(height)) for height in map(cells.value, texts) if height]
     if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
         return "m", [
-            f"distances are interpreted as m ('{shown(column.title)}' in the same table holds heights of metres)"
+            f"distances are interpreted as m ('{shown(column.title)}' in the same table contains heights in metres)"
         ]
     message = f"distances of up to {longest:.6g} may be metres or millimetres; give --hint length=m or"
     raise RecordError(f"{message} --hint length=mm", file=file)
@@ -165,7 +165,7 @@ def _sense(
     hints: Hints,
     file: Path,
 ) -> tuple[Azimuth, list[str]]:
-    """Sense of the circle: by a hint, by known places, or by the words of the header."""
+    """Sense of the circle, with notes: from a hint, known positions, or the titles of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
@@ -194,9 +194,9 @@ def _sense(
 
 
 def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
-    """Coordinates as readings of face 1.
+    """Coordinates converted to readings on face 1.
 
-    Raises RecordError where a coordinate is missing, or all set-ups see their common targets in one frame.
+    Raises RecordError if a coordinate is missing, or if all set-ups are in one frame.
     """
     printed = np.stack([as_floats(table.pointings.of((axis,))) for axis in PLACE], axis=1)
     rows, axes = np.nonzero(np.isnan(printed))
@@ -209,13 +209,16 @@ def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple
     readings = to_polar(printed * FACTOR[length])
     near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(near):
-        raise table.pointings.place(int(near[0])).error("lies in the instrument itself, expected coordinates from it")
+        raise table.pointings.place(int(near[0])).error("coincides with the instrument, expected another point")
     _check_frames(table, printed * FACTOR[length], file)
     return ColumnInterpretation("rad", "rad", length, "elevation", "counter-clockwise", (*notes, FROM_PLACES)), readings
 
 
 def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
-    """Refuse coordinates that were brought into one frame: as readings they would hold no network."""
+    """Check that coordinates were not transformed into one frame, in which they contain no information on a network.
+
+    Raises RecordError.
+    """
     first: dict[str, tuple[str, Floats]] = {}
     gaps = []
     for here, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
@@ -224,14 +227,14 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
             gaps.append(float(np.linalg.norm(point - place)))
     if len(gaps) > 2 and float(np.median(gaps)) < COMMON_FRAME_M:
         message = (
-            f"{len(gaps)} targets have the same coordinates from several set-ups: they are in one frame already; "
+            f"{len(gaps)} targets have the same coordinates from several set-ups: they are already in one frame; "
             "export them in the axes of each instrument"
         )
         raise RecordError(message, file=file)
 
 
 def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
-    """Standard deviations (n,) of the readings (n, 3) by those of x, y, z, where the table states them: by column."""
+    """Standard deviations (n,) of the readings (n, 3), by column, from those of x, y, z if the table has them."""
     columns = [table.column((SIGMA_OF[axis],)) or table.column((SIGMA,)) for axis in PLACE]
     titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
     if not table.holds_places or len(titles) < len(PLACE):

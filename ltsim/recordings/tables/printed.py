@@ -1,7 +1,7 @@
-"""Pointings as a table prints them, column by column: names, faces, texts, and numbers to their last digit.
+"""Pointings as they are in a table, column by column: names, faces, texts, and numbers with all digits.
 
-Numbers are held as the digits that the cells print (12 bytes where a decimal object takes 100), so that what is
-computed from them is exact, and an array of them becomes floating-point numbers at once.
+Numbers are stored as the digits of the cells (12 bytes; a decimal object takes 100), so that computations with them are
+exact, and an array of them is converted to floating point at once.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.tables.header import PLACE, READINGS, TableColumn
 
 Digits = NDArray[np.bytes_]
-"""Numbers (n,) as decimal digits in ASCII; empty where nothing is printed."""
+"""Numbers (n,) as decimal digits in ASCII; empty for a missing number."""
 T = TypeVar("T")
-EXACT = 2**51
-"""Size up to which a product of floating-point numbers rounds to the integer that is meant."""
-LARGEST_TURN = 720.0
-"""[deg] Size of sums of angles."""
-BLOCK = 8192
-"""Rows that are converted together: what lies between text and columns takes memory for so many rows alone."""
+MAX_EXACT = 2**51
+"""Magnitude up to which a product of floating-point numbers is rounded to the correct integer."""
+MAX_ANGLE_SUM = 720.0
+"""Largest magnitude [deg] of sums of angles."""
+ROWS_PER_BATCH = 8192
+"""Number of rows that are converted together, which bounds the memory of intermediate results."""
 
 
 def as_digits(texts: Sequence[str]) -> Digits:
-    """Numbers (n,) by their text, which `Decimal` reads."""
+    """Numbers (n,) as digits, from texts that `Decimal` reads."""
     return np.array(texts, dtype=np.bytes_)
 
 
 def as_floats(digits: Digits) -> Floats:
-    """The nearest floating-point numbers (n,); NaN where nothing is printed."""
+    """Nearest floating-point numbers (n,); NaN for missing ones."""
     values = np.full(len(digits), np.nan)
     filled = digits != b""
     values[filled] = digits[filled].astype(np.float64)
@@ -45,18 +45,19 @@ def as_floats(digits: Digits) -> Floats:
 
 
 def as_decimals(digits: Digits) -> Iterator[Decimal | None]:
-    """Exact numbers, None where nothing is printed."""
-    for start in range(0, len(digits), BLOCK):
-        for text in digits[start : start + BLOCK].astype(np.str_).tolist():
+    """Exact numbers; None for missing ones."""
+    for start in range(0, len(digits), ROWS_PER_BATCH):
+        for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
             yield Decimal(text) if text else None
 
 
-def exactly(
+def exact_function(
     digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
-    """The nearest floating-point numbers (n,) to a function of products with a factor; NaN where nothing is printed.
+    """Nearest floating-point numbers (n,) to a function of products with a factor; NaN for missing ones.
 
-    The function takes the products as integers (n,), whose unit is their last digit, and the integer that is 1.0.
+    The arguments of the function are the products as integers (n,) in units of their last digit, and the integer that
+    represents 1.0.
     """
     values = np.full(len(digits), np.nan)
     filled = digits != b""
@@ -69,9 +70,9 @@ def exactly(
 
 
 def _integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArray[Any]:
-    """Numbers (n,) without decimal point times a multiplier: int64 where floats hold all, else Python integers."""
+    """Numbers (n,) without decimal point, times a multiplier: int64 if floats are exact, otherwise Python integers."""
     values = as_floats(digits)
-    if unit * multiplier * int(np.abs(values).max(initial=LARGEST_TURN)) < EXACT:
+    if unit * multiplier * int(np.abs(values).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT:
         return np.rint(values * 10**places).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
         whole = [int(number.scaleb(places)) * multiplier for number in as_decimals(digits) if number is not None]
@@ -79,7 +80,7 @@ def _integers(digits: Digits, places: int, multiplier: int, unit: int) -> NDArra
 
 
 def decimal_places(digits: Digits) -> Ints:
-    """Place of the last digit (n,) behind the decimal point; negative where it stands before it."""
+    """Number of decimals (n,); negative if the last digit is before the decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in as_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
@@ -88,22 +89,22 @@ def decimal_places(digits: Digits) -> Ints:
 
 @dataclass
 class PrintedPointings:
-    """Pointings as their rows print them: columns of n entries, numbers by role in the units of their columns."""
+    """Pointings as they are in a table: columns of n entries, numbers by role in the units of their columns."""
 
     file: list[Path] = field(default_factory=list)
     line: list[int] = field(default_factory=list)
     station: list[str] = field(default_factory=list)
     target: list[str] = field(default_factory=list)
     face: list[int] = field(default_factory=list)
-    """0 where none is given."""
+    """Face of each pointing; 0 if not given."""
     moment: list[str] = field(default_factory=list)
     round: list[str] = field(default_factory=list)
-    """Round of its station that each belongs to: a number, perhaps with a day."""
+    """Round of the station to which each pointing belongs: a number, possibly with a day."""
     grouping: list[str] = field(default_factory=list)
-    """Mark that groups thousands in the sheet of each, '' for none."""
+    """Thousands separator in the sheet of each pointing, '' for none."""
     numbers: dict[str, Digits] = field(default_factory=dict)
     further: dict[str, list[str]] = field(default_factory=dict)
-    """Cells of further columns by their title, '' where the row has none."""
+    """Cells of additional columns by title; '' for a row without one."""
 
     def __len__(self) -> int:
         return len(self.line)
@@ -113,7 +114,7 @@ class PrintedPointings:
         return SourceLocation(self.file[index], self.line[index])
 
     def of(self, roles: Sequence[str]) -> Digits:
-        """Printed text of each row in the first of the roles that it holds."""
+        """Digits of each row in the first of the roles that it has."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.numbers:
@@ -121,7 +122,7 @@ class PrintedPointings:
         return digits
 
     def texts(self, title: str) -> list[str]:
-        """Cells of a further column; '' where the table has none of this title."""
+        """Cells of an additional column; '' in a table without this title."""
         return self.further.get(title) or [""] * len(self)
 
     @property
@@ -137,7 +138,7 @@ class PrintedPointings:
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
     def take(self, order: Iterable[int]) -> PrintedPointings:
-        """The pointings at some places, in that order."""
+        """Pointings at some positions, in that order."""
         places = list(order)
         lists: list[Any] = [[column[i] for i in places] for column in self.lists]
         numbers = {role: digits[places] for role, digits in self.numbers.items()}
@@ -146,7 +147,7 @@ class PrintedPointings:
 
 
 def joined(parts: Sequence[PrintedPointings]) -> PrintedPointings:
-    """Pointings one after another; a column that some parts lack is empty there."""
+    """Pointings of several parts in sequence; a column that a part lacks is empty there."""
     if len(parts) == 1:
         return parts[0]
     lists: list[Any] = [_chained(columns) for columns in zip(*(part.lists for part in parts), strict=True)]
@@ -164,8 +165,8 @@ def _chained(columns: Iterable[list[T]]) -> list[T]:
     return list(chain.from_iterable(columns))
 
 
-def codes(values: Iterable[T]) -> tuple[list[T], Ints]:
-    """Distinct values in the order in which they appear, and the place of each value among them."""
+def indices_by_value(values: Iterable[T]) -> tuple[list[T], Ints]:
+    """Distinct values in order of appearance, and the index of each value among them."""
     places: dict[T, int] = {}
     indices = [places.setdefault(value, len(places)) for value in values]
     return list(places), np.array(indices, dtype=np.int64)
@@ -173,7 +174,7 @@ def codes(values: Iterable[T]) -> tuple[list[T], Ints]:
 
 @dataclass
 class PointingTable:
-    """All pointings of a file or folder, the columns they came from, and the lines that were not read."""
+    """All pointings of a file or folder, their columns, and the lines that were not read."""
 
     columns: list[TableColumn]
     pointings: PrintedPointings = field(default_factory=PrintedPointings)
@@ -181,18 +182,18 @@ class PointingTable:
     nameless: bool = False
     positional: bool = False
     marks: dict[str, str] = field(default_factory=dict)
-    """Name of the mark under each set-up whose name differs from it."""
+    """Name of the mark under each set-up, if it differs from that of the set-up."""
     notes: list[str] = field(default_factory=list)
     marked: set[str] = field(default_factory=set)
-    """Headers without a unit over angles with marks of degrees and minutes."""
+    """Titles without a unit whose cells have marks of degrees and minutes."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """The first column of one of the roles."""
+        """First column with one of the roles; None if there is none."""
         return next((c for c in self.columns if c.role in kind), None)
 
     @property
     def holds_places(self) -> bool:
-        """True where it holds coordinates in place of readings."""
+        """True for a table with coordinates in place of readings."""
         return {*PLACE} <= {c.role for c in self.columns}
 
     @property
@@ -201,9 +202,9 @@ class PointingTable:
         return [self.marks.get(station, station) for station in self.pointings.station]
 
     def take(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
-        """A further header: of the same roles and units, perhaps with more columns, which are retained.
+        """Addition of another header: with equal roles and units, and possibly additional columns, which are retained.
 
-        Raises RecordError where it holds other readings, or in other units.
+        Raises RecordError if its readings or units differ.
         """
         before, here = (
             [(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)
@@ -215,7 +216,7 @@ class PointingTable:
         self.columns += [c for c in columns if c.title not in titles]
 
     def add(self, other: PointingTable, file: object) -> None:
-        """Add the columns of a further sheet and its notes; raises RecordError."""
+        """Addition of the columns and notes of another sheet; raises RecordError."""
         self.take(other.columns, file)
         self.unread += other.unread
         self.notes += [note for note in other.notes if note not in self.notes]

@@ -1,4 +1,4 @@
-"""Reading a recording from delimited text, a folder of such files, or a workbook."""
+"""Reader of recordings from delimited text, a folder of such files, or a workbook."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,15 +18,15 @@ from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import ALLOWED, DISTANCE, TableColumn, has_named_coordinates
+from ltsim.recordings.tables.header import DISTANCE, ROLE_UNITS, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.meaning import ColumnInterpretation, readings_of, sigmas_of_places
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, codes, decimal_places
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, decimal_places, indices_by_value
 from ltsim.recordings.tables.rows import header_of, table_of
 from ltsim.recordings.tables.setups import (
     common_names,
+    connecting_occupations,
     heights_not_applied,
     named_by_place,
-    occupied,
     over_marks,
     split_occupations,
 )
@@ -34,7 +34,7 @@ from ltsim.recordings.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_o
 
 
 def with_clock(table: PointingTable) -> PointingTable:
-    """The table; where no header names a time, the first further column of clocks is its time."""
+    """Table with a time column: if no title means time, the first additional column of times is used."""
     if table.column(("time",)) is not None:
         return table
     printed = table.pointings
@@ -53,13 +53,13 @@ def with_clock(table: PointingTable) -> PointingTable:
 
 
 def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
+    """Time [s] of each pointing, the moment of time 0 if known, and notes; NaN for unreadable times."""
     column = table.column(("time",)) or table.column(("date",))
     texts = table.pointings.moment
     nothing = [float("nan")] * len(texts)
     if column is None or not any(texts):
         return nothing, "", []
-    by_rows = "the order of the rows stands for the time"
+    by_rows = "the order of the rows replaces the time"
     if not all(texts):
         return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
     values = cells.plain_numbers(texts)
@@ -74,21 +74,21 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
         message = f"'{shown(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
         raise table.pointings.place(0).error(message, shown(column.title))
     if seconds is None:
-        unknown = f"column '{shown(column.title)}' holds no readable time ('{shown(texts[0])}')"
+        unknown = f"column '{shown(column.title)}' contains no readable time ('{shown(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
     if not any(":" in text for text in texts):
-        return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
+        return nothing, "", [f"column '{shown(column.title)}' contains dates without a time: {by_rows}"]
     return seconds, start, []
 
 
 SETUP = "setup.toml"
-MOST_SHOWN = 3
+MAX_SHOWN = 3
 HEADS_SIGMA_MM = 1.0
-"""[mm] Standard deviation of the height of a head on one tripod or pillar each time it is set up."""
+"""Standard deviation [mm] of the height of a head on one tripod or pillar each time it is set up."""
 
 
 def recognises(path: Path, head: str) -> bool:
-    """True if this is a folder of tables, a workbook, or text with a header of readings, or with columns of numbers."""
+    """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_folder(path)
     if head.startswith(WORKBOOK.decode("latin-1")):
@@ -104,7 +104,10 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
-    """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
+    """Recording of a table; with `positional`, also of lines with names and three numbers but no header.
+
+    Raises RecordError.
+    """
     table = named_by_place(with_clock(table_of(sheets_of(path), hints, path, positional=positional)), path)
     table.pointings.target, renamed = common_names(table.pointings)
     table.notes += renamed
@@ -126,7 +129,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 def assembled(
     table: PointingTable, meaning: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
-    """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
+    """Recording of a table whose readings (n, 3) were interpreted, in the order of its pointings."""
     printed, nothing = table.pointings, np.full(len(table.pointings), NAN)
     sigmas = sigmas_of_places(table, readings, meaning.length_unit)
     covariates, labels, further = _further(table, meaning)
@@ -144,13 +147,13 @@ def assembled(
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.heads_sigma_mm or HEADS_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
-        labels = _over(occupied(table), labels)
+        labels = _merged_labels(connecting_occupations(table), labels)
     if timed and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
     remarks = [table.notes, meaning.notes, rounds, over, reduced, timed, further, unused, _unread(table)]
-    targets, target = codes(printed.target)
+    targets, target = indices_by_value(printed.target)
     _, first = np.unique(target, return_index=True)
     for name, row in zip(targets, first.tolist(), strict=True):
         printed.place(row).name(name, "target")
@@ -169,8 +172,8 @@ def assembled(
     )
 
 
-def _over(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels of both, row by row those of `above` where they hold something."""
+def _merged_labels(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Labels of both mappings; in each row a non-empty label of `above` has priority."""
     both = {
         name: [upper or other for upper, other in zip(above[name], column, strict=True)] if name in above else column
         for name, column in below.items()
@@ -179,19 +182,19 @@ def _over(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str,
 
 
 def _setup_file(path: Path, hints: Hints) -> Path:
-    """The file named for noise and gauge, or a `setup.toml` in the same folder."""
+    """File with noise and gauge: the named one, or a `setup.toml` in the same folder."""
     file = hints.setup or (path if path.is_dir() else path.parent) / SETUP
     return file / SETUP if file.is_dir() else file
 
 
 def _setup(path: Path, hints: Hints) -> Setup | None:
-    """Noise and set-ups that a file states in addition to the table; None where there is none."""
+    """Noise and set-ups from a file in addition to the table; None if there is none."""
     file = _setup_file(path, hints)
     return read_setup(file) if hints.setup is not None or file.is_file() else None
 
 
 def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
-    """Face of each pointing; readings of face 2 that were reduced to face 1 are turned back in place."""
+    """Face of each pointing, with notes; face-2 readings that were reduced to face 1 are converted back in place."""
     beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond.tolist(), strict=True)]
     second = np.array(faces) == 2
@@ -199,15 +202,15 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
         return faces, []
     readings[:] = to_face(readings, np.array(faces))
     readings[second, 1] %= 2 * np.pi
-    return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
+    return faces, ["readings of face 2 were reduced to face 1 and are converted back to circle readings"]
 
 
 def _further(
     table: PointingTable, meaning: ColumnInterpretation
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
-    """Further columns of each pointing: numbers as covariates, texts as labels, and notes about them.
+    """Additional columns of each pointing: numbers as covariates, texts as labels, and notes.
 
-    Sigmas and heights have standard names; their unit is that of the readings where their header states none.
+    Sigmas and heights have standard names; without a unit in their title they are in the unit of the readings.
     """
     columns = [c for c in table.columns if c.is_further]
     words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
@@ -238,7 +241,7 @@ def _unit(column: TableColumn, meaning: ColumnInterpretation) -> str:
 
 
 def _covariate(column: TableColumn, printed: PrintedPointings, meaning: ColumnInterpretation) -> Floats | None:
-    """Numbers of a column in the unit of its role, NaN where a cell is empty; None for a column of text."""
+    """Numbers of a column in the unit of its role, NaN for an empty cell; None for a text column."""
     texts = printed.further.get(column.title, [])
     if not any(texts):
         return None
@@ -256,12 +259,12 @@ def _covariate(column: TableColumn, printed: PrintedPointings, meaning: ColumnIn
 
 
 def _factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
-    """Unit of a column of standard deviations or heights in that of its role."""
+    """Factor from the unit of a column of standard deviations or heights to the unit of its role."""
     wanted = column.role.rpartition("_")[2]
     if wanted not in ("mm", "arcsec"):
         return 1.0
     unit = _unit(column, meaning)
-    return float(ratio(unit, wanted)) if unit in (*ALLOWED[column.role], "dms") else 1.0
+    return float(ratio(unit, wanted)) if unit in (*ROLE_UNITS[column.role], "dms") else 1.0
 
 
 def _unread(table: PointingTable) -> list[str]:
@@ -270,38 +273,38 @@ def _unread(table: PointingTable) -> list[str]:
         alone = "the table names no station, so that one station S1 is assumed for its pointings"
         notes.append(f"{alone} (--hint station=NAME)")
     if table.unread:
-        examples = "; ".join(table.unread[:MOST_SHOWN])
-        more = len(table.unread) - MOST_SHOWN
-        notes.append(f"free text is left out: {examples}" + (f" and {more} more lines" if more > 0 else ""))
+        examples = "; ".join(table.unread[:MAX_SHOWN])
+        more = len(table.unread) - MAX_SHOWN
+        notes.append(f"free text is not used: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes
 
 
 TRACKER_RANGE_M = 160.0
-"""[m] No laser tracker measures farther (makers' data sheets: 80 to 160)."""
+"""Longest range [m] of laser trackers (manufacturers' data sheets: 80 to 160)."""
 COARSE_M = 0.5e-4
-"""[m] Last digit of ranges that is coarser than a laser tracker's noise by far: trackers print micrometres."""
+"""Last digit [m] of ranges from which they are too coarse for a laser tracker: trackers report micrometres."""
 
-LEAST_RANGES = 6
-"""Smallest number of ranges whose last digit is trusted: fewer may all end in zeros by chance."""
+MIN_RANGES = 6
+"""Smallest number of ranges whose last digit is used: fewer may all end in zeros by chance."""
 
 
 def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readings: Floats) -> str:
-    """Reason why the table is one of a total station; empty where it may be a laser tracker's.
+    """Reason why the table is from a total station; empty if it may be from a laser tracker.
 
-    Heights over marks alone are none: trackers stand over marks too.
+    Heights above marks are no sufficient reason: trackers are set up over marks too.
     """
     if table.holds_places:
         return ""
     ranges = readings[:, 0][np.isfinite(readings[:, 0])]
     if table.column(("flat",)) is not None:
-        return "it holds horizontal distances"
+        return "it contains horizontal distances"
     if not len(ranges):
         return ""
     if ranges.max() > TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
     columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE]
     places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
-    if len(places) < LEAST_RANGES:
+    if len(places) < MIN_RANGES:
         return ""
     digit = 10.0 ** -int(places.max()) * FACTOR[meaning.length_unit]
     if digit > COARSE_M:
@@ -312,5 +315,5 @@ def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readin
 
 
 def instrument_of(reason: str) -> tuple[Instrument, str]:
-    """Instrument of a table that states no noise, and the note about it."""
+    """Instrument for a table without noise, and the note about it."""
     return (TOTAL_STATION, LIKE_TOTAL_STATION.format(reason=reason)) if reason else (Instrument(), NO_NOISE)

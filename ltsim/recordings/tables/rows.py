@@ -1,4 +1,4 @@
-"""Pointings as printed, from rows of text: headers, blocks of a station, free text; runs of rows become columns."""
+"""Pointings from rows of text: headers, blocks of a station, free text; runs of rows become columns."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from ltsim.recordings.tables.header import (
     role_of,
     words_of,
 )
-from ltsim.recordings.tables.printed import BLOCK, Digits, PointingTable, PrintedPointings, as_digits, joined
+from ltsim.recordings.tables.printed import ROWS_PER_BATCH, Digits, PointingTable, PrintedPointings, as_digits, joined
 from ltsim.recordings.tables.sheets import Row, Sheet
 
-LARGEST = 10**9
-"""Numbers of readings lie below it in size, in whatever unit."""
+MAX_READING = 10**9
+"""Magnitude below which all readings must be, in any unit."""
 
 
 @dataclass
 class Run:
-    """Rows below one header, column by column: line, cells, and the station of the block, which rows may not name."""
+    """Rows below one header, by column: line numbers, cells, and the station of the block for rows that name none."""
 
     line: list[int] = field(default_factory=list)
     fields: list[tuple[str, ...]] = field(default_factory=list)
@@ -49,19 +49,19 @@ class Run:
         return len(self.line)
 
     def add(self, row: Row, station: str) -> None:
-        """Append a row."""
+        """Addition of a row."""
         self.line.append(row.line)
         self.fields.append(row.fields)
         self.station.append(station)
 
     def each(self) -> Iterator[Run]:
-        """Runs of one row each."""
+        """Runs with one row each."""
         for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
             yield Run([line], [fields], [station])
 
 
 class RunReader:
-    """Reads rows below one header of a sheet. `nameless` and `marked` are those of `PointingTable`."""
+    """Reader of the rows below one header of a sheet. `nameless` and `marked` are those of `PointingTable`."""
 
     def __init__(self, sheet: Sheet, columns: Sequence[TableColumn]) -> None:
         self.sheet, self.columns = sheet, columns
@@ -70,9 +70,9 @@ class RunReader:
         self.marked: set[str] = set()
 
     def read(self, run: Run) -> PrintedPointings:
-        """Pointings of rows, each with the station of its block where its row names none.
+        """Pointings of rows, each with the station of its block if its row names none.
 
-        Raises RecordError for a cell that is wrong: of one row for the first of its cells, of several for any of them.
+        Raises RecordError for a wrong cell: the first one in a run of one row, any one in a longer run.
         """
         width = len(self.columns)
         padded = [fields if len(fields) == width else _padded(fields, width) for fields in run.fields]
@@ -85,7 +85,7 @@ class RunReader:
         return both.take(by_row[angles[by_row]].tolist())
 
     def _of_face(self, face: int, run: Run, table: Sequence[Sequence[str]]) -> PrintedPointings:
-        """Pointings, one per row: the columns of one face (0: of the only one) and those of both."""
+        """Pointings, one per row, from the columns of one face (0: the only face) and the common columns."""
         columns = [c for c in self.columns if c.face in (0, face)]
         text = {c.role: table[c.place] for c in reversed(columns) if c.role}
         nothing = ("",) * len(run)
@@ -107,15 +107,15 @@ class RunReader:
             [intern(name or "S1") for name in named],
             list(map(intern, text.get("target", nothing))),
             [face] * len(run) if face else faces,
-            _both(text.get("date"), text.get("time")) or [*nothing],
-            _both(text.get("date"), text.get("round")) or [*nothing],
+            _joined_cells(text.get("date"), text.get("time")) or [*nothing],
+            _joined_cells(text.get("date"), text.get("round")) or [*nothing],
             [self.sheet.grouping] * len(run),
             numbers,
             further,
         )
 
     def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
-        """Faces as stated; 0 for an empty cell."""
+        """Faces in the file; 0 for an empty cell."""
         faces = {text: cells.face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
@@ -123,10 +123,10 @@ class RunReader:
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
-        """Digits (n,) of a column of readings: its cells where all are plain numbers, otherwise each cell converted."""
+        """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise each cell converted."""
         values = cells.plain_numbers(texts) if column.unit != "dms" and not self.sheet.grouping else None
         least = 0.0 if column.role in DISTANCE else -np.inf
-        if values is not None and not np.any((np.abs(values) >= LARGEST) | (values <= least)):
+        if values is not None and not np.any((np.abs(values) >= MAX_READING) | (values <= least)):
             return as_digits(texts)
         converted = [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
         if not column.unit and any(map(cells.is_marked, texts)):
@@ -134,22 +134,22 @@ class RunReader:
         return as_digits(converted)
 
     def _number(self, text: str, column: TableColumn, line: int) -> str:
-        """Digits of one cell."""
+        """Digits of the number in one cell."""
         packed = column.unit == "dms"
         number = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
         where = self._place(line)
         if packed and number is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise where.error(f"found '{shown(text)}', expected {what}", shown(column.title))
-        if number is None or not abs(number) < LARGEST:
+        if number is None or not abs(number) < MAX_READING:
             raise where.error(f"found '{shown(text)}', expected a number", shown(column.title))
         if column.role in DISTANCE and not number > 0:
-            what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
+            what = f"found {shown(text)}, expected a distance above 0, or an empty cell without one"
             raise where.error(what, shown(column.title))
         return str(number)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
-        """Cells of a further column; equal ones are one object where many are."""
+        """Cells of an additional column; equal texts are stored once."""
         distinct = dict.fromkeys(texts)
         whole = "".join(distinct)
         if not whole.isprintable() or "<" in whole or ">" in whole or max(map(len, distinct)) > MAX_TEXT:
@@ -162,29 +162,28 @@ class RunReader:
 
 
 def _padded(fields: Sequence[str], width: int) -> Sequence[str]:
-    """Cells of a row for each column of the header."""
+    """Cells of a row, extended with empty ones to the width of the header."""
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
-def _both(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
-    """Cells of two columns joined by a blank; None where the table has neither."""
+def _joined_cells(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
+    """Cells of two columns joined by a blank; None if the table has neither column."""
     if first is None or second is None:
         return list(first or second or ()) or None
     return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]
 
 
-POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
-"""Roles of a table without a header whose lines are names and three numbers."""
-LEAST_TITLES = 2
-"""Columns of a header that names readings: two angles, or an angle and a distance."""
+POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
+"""Roles of the columns in a table without header whose lines are names and three numbers."""
+MIN_TITLES = 2
+"""Smallest number of columns in a header of readings: two angles, or an angle and a distance."""
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
 def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> PointingTable:
-    """The pointings of all sheets; `positional` takes lines of names and three numbers without a header.
+    """Pointings of all sheets; with `positional`, also lines with names and three numbers but no header.
 
-    Raises RecordError where a header does not say what its columns hold, headers differ in what they hold, or a cell is
-    wrong.
+    Raises RecordError for a header without recognised titles, for headers with different roles, and for a wrong cell.
     """
     whole, parts = PointingTable([]), []
     for sheet in sheets:
@@ -195,27 +194,27 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
             whole.add(table, sheet.file)
             parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
-            raise RecordError(unnamed(sheet, partial(_serves, sheet, hints)), file=sheet.file)
+            raise RecordError(unnamed(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
     if not any(map(len, parts)):
-        unread = f": {whole.unread[0]} has no number where its header names readings" if whole.unread else ""
-        raise RecordError(f"holds no pointings{unread or ' below its header'}", file=file)
+        unread = f": {whole.unread[0]} has no number in a column of readings" if whole.unread else ""
+        raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
     whole.pointings = joined(parts)
     whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
     return whole
 
 
 def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] | None:
-    """The columns that a row names as a header; None where it is none."""
+    """Columns that a row names as a header; None if it is no header."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
-    if count_of_roles(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
+    if count_of_roles(row.fields) < MIN_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = columns_of(row.fields)
     return columns if is_header(columns) else None
 
 
 def header_at(sheet: Sheet, hints: Hints) -> int | None:
-    """Place of the first header; -1 where `hints.columns` counts the columns of a table without one."""
+    """Index of the first header row; -1 if `hints.columns` numbers the columns of a table without header."""
     if hints.columns is not None and sheet.rows:
         asked = assignments(hints.columns, sheet.file)
         if all(title.isdigit() for *_, title, _ in asked):
@@ -225,7 +224,10 @@ def header_at(sheet: Sheet, hints: Hints) -> int | None:
 
 
 class _SheetReader:
-    """Reads one sheet: the header that holds, the station that the last block named, and the rows since the header."""
+    """Reader of one sheet.
+
+    Its state is the current header, the station of the last block, and the rows since the header.
+    """
 
     def __init__(self, sheet: Sheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
@@ -239,7 +241,7 @@ class _SheetReader:
         """Rows of pointings that are not converted yet."""
 
     def read(self, start: int) -> PointingTable:
-        """The rows below the header in row `start`; -1 counts columns."""
+        """Pointings of the rows below the header in row `start`; -1 for numbered columns."""
         rows = self.sheet.rows
         for row in rows[: max(start, 0)]:
             self._other(row)
@@ -249,9 +251,9 @@ class _SheetReader:
         return self._read(rows[max(start, 0) :])
 
     def read_positional(self) -> PointingTable:
-        """Lines of station, target and three numbers; of the target alone where they are shorter by one."""
+        """Pointings of lines with station, target and three numbers; lines shorter by one have no station."""
         first = next((row for row in self.sheet.rows if not row.comment), None)
-        roles = POSITIONS[1:] if first is not None and len(first.fields) == 4 else POSITIONS
+        roles = POSITIONAL_ROLES[1:] if first is not None and len(first.fields) == 4 else POSITIONAL_ROLES
         for row in self.sheet.rows:
             if not row.comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
@@ -264,7 +266,7 @@ class _SheetReader:
         self.headers += 1
         if self.headers > HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
-                f"holds more than {HEADERS} headers, the most that is read"
+                f"holds more than {HEADERS} headers, the limit for reading"
             )
         if columns != self.columns:
             self._convert()
@@ -288,12 +290,12 @@ class _SheetReader:
                 self.sheet.check_whole(len(self.columns), strict=self.table.positional)
                 self._pointing(row)
         self._convert()
-        self.table.notes += _doubled(self.columns)
+        self.table.notes += _duplicate_role_warnings(self.columns)
         self.table.pointings = joined(self.parts) if self.parts else PrintedPointings()
         return self.table
 
     def _is_measured(self, row: Row) -> bool:
-        """True if a cell of a reading holds a value: in a pointing the first one does as a rule."""
+        """True if a cell of a reading has a value; in a pointing it is usually the first."""
         fields = row.fields
         for place in self.wanted:
             if place < len(fields) and (is_number(fields[place]) or cells.is_value(fields[place])):
@@ -301,7 +303,7 @@ class _SheetReader:
         return False
 
     def _other(self, row: Row) -> None:
-        """A line that is no pointing: it names the station of a block, or is left out."""
+        """Processing of a line that is no pointing: it names the station of a block, or is ignored."""
         line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
         block = _STATION.fullmatch(line) if len(line) <= MAX_TEXT else None
         if block is not None and role_of(block.group(1)) == "station":
@@ -310,7 +312,7 @@ class _SheetReader:
             self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _pointing(self, row: Row) -> None:
-        if len(self.run.line) == BLOCK:
+        if len(self.run.line) == ROWS_PER_BATCH:
             self._convert()
         width = len(self.columns)
         if len(row.fields) > width and any(row.fields[width:]):
@@ -320,7 +322,10 @@ class _SheetReader:
         self.run.add(row, self.station)
 
     def _convert(self) -> None:
-        """Turn the rows since the last header into columns at once; where that fails, one by one to name the first."""
+        """Conversion of the rows since the last header to columns at once.
+
+        If that fails, row by row to report the first error.
+        """
         run, self.run = self.run, Run()
         if not run.line:
             return
@@ -332,11 +337,15 @@ class _SheetReader:
         self.table.nameless |= reader.nameless
         self.table.marked |= reader.marked
         self.parts.append(joined(converted))
-        while len(self.parts) > 1 and 2 * len(self.parts[-1]) > len(self.parts[-2]) and len(self.parts[-2]) < BLOCK:
+        while (
+            len(self.parts) > 1
+            and 2 * len(self.parts[-1]) > len(self.parts[-2])
+            and len(self.parts[-2]) < ROWS_PER_BATCH
+        ):
             self.parts[-2:] = [joined(self.parts[-2:])]
 
 
-def _doubled(columns: Sequence[TableColumn]) -> list[str]:
+def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     """Warnings about columns whose role is already taken by another column."""
     taken = {c.role: c.title for c in columns if c.role}
     lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]
@@ -347,8 +356,8 @@ def _doubled(columns: Sequence[TableColumn]) -> list[str]:
     ]
 
 
-def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
-    """True if a sheet can be read by an assignment of columns."""
+def _is_readable(sheet: Sheet, hints: Hints, columns: str) -> bool:
+    """True if a sheet can be read with an assignment of columns."""
     hints = replace(hints, columns=columns)
     try:
         start = header_at(sheet, hints)

@@ -1,8 +1,8 @@
-"""Set-ups and targets as surveyors' tables hold them.
+"""Set-ups and targets in surveyors' tables: names of one target that differ, occupations, heights above marks.
 
-One target has names that differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`); set-ups stand over marks that are
-targets too, with a circle that each round turns anew. Rows without point names, or with one for all, are positions of a
-target that moves (a robot, a T-MAC).
+The name of one target may differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over marks that are
+targets too, with a circle that is rotated between rounds. Rows without point names, or with one for all, are positions
+of a moving target (a robot, a T-MAC).
 """
 
 import re
@@ -23,42 +23,44 @@ from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HEIGHTS, HORIZONTAL, PLACE, VERTICAL
-from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, codes
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, indices_by_value
 
-SAME_SHARE = 3e-4
-"""Share of the largest length by which rows at one place differ: 1 mm at 3 m, more than a robot repeats."""
-SAME_ANGLE, SAME_RADIAN = 0.02, SAME_SHARE
-"""[deg or gon, rad] Tolerance between directions to the same place."""
+SAME_PLACE_RATIO = 3e-4
+"""Largest distance between rows at one position, relative to the largest length: 1 mm at 3 m, more than the
+repeatability of a robot.
+"""
+SAME_ANGLE, SAME_RADIAN = 0.02, SAME_PLACE_RATIO
+"""Tolerances [deg or gon, rad] between directions to the same position."""
 RADIANS = 7.0
-LEAST_ROWS = 3
+MIN_ROWS = 3
 
 
 def named_by_place(table: PointingTable, file: object) -> PointingTable:
-    """The table; where its rows have no names, or one name at several places, every place is a target of its own.
+    """Table in which every position is a separate target, if rows have no names or one name has several positions.
 
     Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
-    if len(names) > 1 or (names != {""} and len(table.pointings) < LEAST_ROWS):
+    if len(names) > 1 or (names != {""} and len(table.pointings) < MIN_ROWS):
         return table
     places = _places(table)
     count = int(places.max()) + 1
-    if names != {""} and (count < LEAST_ROWS or len(stations) > 1):
+    if names != {""} and (count < MIN_ROWS or len(stations) > 1):
         return table
     if len(stations) > 1:
-        message = "names no points, and nothing tells which targets of its set-ups are the same; add a column target"
+        message = "names no points, so common targets of its set-ups are unknown; add a column target"
         raise RecordError(message, file=file)
     table.pointings.target = [f"pose-{place + 1}" for place in places.tolist()]
     called = "names no points" if names == {""} else f"has one name ('{shown(names.pop())}') for all of its rows"
     table.notes.append(
         f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
-        "each a target named pose-1, pose-2, ...; one set-up alone says nothing of the tracker"
+        "each a target named pose-1, pose-2, ...; one set-up alone gives no information about the tracker"
     )
     return table
 
 
 def _places(table: PointingTable) -> Ints:
-    """Number of the place (n,) of each row, in the order of their first rows."""
+    """Number (n,) of the position of each row, in the order of their first rows."""
     numbers = table.pointings.numbers
     printed = np.stack([as_floats(digits) for digits in numbers.values()], axis=1)
     largest = np.nanmax(np.abs(printed), axis=0).tolist()
@@ -82,32 +84,36 @@ def _places(table: PointingTable) -> Ints:
 def _tolerance(role: str, largest: float, lengths: float) -> float:
     if role in (*HORIZONTAL, *VERTICAL):
         return SAME_ANGLE if largest > RADIANS else SAME_RADIAN
-    return SAME_SHARE * max(lengths, largest, 1e-9)
+    return SAME_PLACE_RATIO * max(lengths, largest, 1e-9)
 
 
-MOST_SHOWN = 4
-LEAST_LINES = 4
-CLEARLY = 0.5
-"""Lines seen to and fro close without the heights within this share of their misses with them."""
-TURNED = 1e-3
-"""[rad] Smallest difference between the directions of two rounds that shows a turned circle."""
-BEYOND_NOISE = 6.0
-"""Standard deviations that say the same where the noise of the directions is stated."""
-CLOSES_M = 0.02
-"""[m] Lines seen to and fro between heads on forced centring close so well; over marks they miss by decimetres."""
+MAX_SHOWN = 4
+MIN_LINES = 4
+MAX_CLOSURE_RATIO = 0.5
+"""Largest ratio of the closure of lines measured to and fro without heights to that with heights from which the heights
+are not applied.
+"""
+MIN_CIRCLE_ROTATION = 1e-3
+"""Smallest difference [rad] between the directions of two rounds that counts as a rotated circle."""
+MIN_ROTATION_SIGMAS = 6.0
+"""Smallest difference in standard deviations of the directions, if given, that counts as a rotated circle."""
+MAX_CLOSURE_M = 0.02
+"""Largest closure [m] of lines measured to and fro between heads on forced centring; lines over marks differ by
+decimetres.
+"""
 Key = tuple[str, ...]
 
 
 def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
-    """Target of each pointing by one name for all set-ups, and what was changed.
+    """Target name of each pointing, common to all set-ups, and notes on the changes.
 
-    A set-up's own name before or after those of all its targets is taken away where set-ups then share targets that
-    they did not share before. Names that differ in case, blanks or leading zeros are one where no set-up has both.
+    The name of the set-up as a prefix or suffix of all its targets is removed if set-ups then have more common targets.
+    Names that differ in case, blanks or leading zeros are one name if no set-up has both.
     """
-    sightings, row = codes(zip(printed.station, printed.target, strict=True))
+    sightings, row = indices_by_value(zip(printed.station, printed.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
-    bare = [_without(station, target) for station, target in sightings]
+    bare = [_without_station_name(station, target) for station, target in sightings]
     if all(bare) and len({*stations}) > 1 and not _shared(stations, targets) and _shared(stations, bare):
         notes.append(f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{bare[0]}'")
         targets = bare
@@ -125,14 +131,14 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
         for name in spellings[1:]
     }
     if common:
-        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MOST_SHOWN)
+        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MAX_SHOWN)
         notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
 
-def _without(station: str, target: str) -> str:
-    """The name of a target without that of its set-up; empty where it does not hold it."""
+def _without_station_name(station: str, target: str) -> str:
+    """Name of a target without the name of its set-up; empty if it does not contain it."""
     if len(target) > MAX_NAME:  # which is refused later
         return ""
     match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
@@ -149,20 +155,20 @@ def _folded(name: str) -> str:
 
 
 def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> tuple[set[str], list[str]]:
-    """Occupations of one mark, and rounds whose circle was turned, become set-ups of their own, in place.
+    """Separation (in place) of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
 
-    An occupation is what has one identifier in a column of set-ups or, where there is none, one day in a column of
-    dates without a clock. `sigma` (n,) [rad] are standard deviations of the azimuths, NaN where none is stated.
+    An occupation has one identifier in a column of set-ups or, without such a column, one day in a column of dates.
+    `sigma` (n,) [rad] are standard deviations of the azimuths, NaN if not given.
 
-    Returns the names of set-ups that stand where others stand (rounds of one occupation), and what was done.
+    Returns the names of set-ups at the position of others (rounds of one occupation), and notes.
     """
     printed = table.pointings
     occupations: Sequence[Key]
-    occupations, of_occupation = codes(zip(printed.station, _occupations(table), strict=True))
+    occupations, of_occupation = indices_by_value(zip(printed.station, _occupations(table), strict=True))
     distinct, code = occupations, of_occupation
     turned = False
     if table.column(("round",)) is not None:
-        by_round, of_round = codes(zip(of_occupation.tolist(), printed.round, strict=True))
+        by_round, of_round = indices_by_value(zip(of_occupation.tolist(), printed.round, strict=True))
         turned = _is_turned(table, of_occupation, of_round, readings[:, 1], sigma)
         if turned:
             distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
@@ -179,18 +185,18 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
     notes = []
     if len(occupations) > len(marks):
         by = "set-up" if table.column(("instrument_setup",)) is not None else "day"
-        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are set-ups of their own")
+        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are separate set-ups")
     if turned:
         of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
         notes.append(
-            f"the circle was turned between rounds: {len(names)} rounds{of} are set-ups of their own over their marks"
+            f"the circle was turned between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
     rounds = Counter(key[:2] for key in distinct)
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if turned else set(), notes
 
 
 def _occupations(table: PointingTable) -> list[str]:
-    """Occupation of its mark that each pointing belongs to."""
+    """Occupation of the mark to which each pointing belongs."""
     printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
         return printed.texts(column.title)
@@ -203,8 +209,8 @@ def _occupations(table: PointingTable) -> list[str]:
 def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
     """True if the directions of a round differ from the first ones to the same targets in its occupation.
 
-    By their median, so that no single wrong reading turns a circle; by more than `TURNED`, or than the noise that the
-    table states makes likely.
+    The median difference counts, so that a single gross error has no effect. It must exceed `MIN_CIRCLE_ROTATION`, or
+    `MIN_ROTATION_SIGMAS` times the noise in the table.
     """
     printed = table.pointings
     first: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -217,7 +223,7 @@ def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimut
             gaps.setdefault(key, []).append((gap, np.hypot(noise, before_noise)))
     for pairs in gaps.values():
         gap, noise = np.median(np.array(pairs), axis=0).tolist()
-        if abs(gap) > min(TURNED, TURNED if np.isnan(noise) else BEYOND_NOISE * noise):
+        if abs(gap) > min(MIN_CIRCLE_ROTATION, MIN_CIRCLE_ROTATION if np.isnan(noise) else MIN_ROTATION_SIGMAS * noise):
             return True
     return False
 
@@ -225,11 +231,11 @@ def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimut
 def over_marks(
     table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
-    """Set-ups over the targets of their names, and levelled ones.
+    """Set-up with stations over the targets of the same names, and levelled stations.
 
-    Set-ups with heights over their marks are levelled. Without heights, set-ups stand over the targets of their names
-    where lines seen to and fro close, or are seen in plan alone; those that are `rounds` of one occupation stand in one
-    place.
+    Stations with heights above their marks are levelled. Without heights, stations are over the targets of their names
+    if lines measured to and fro close, or are measured in plan alone; `rounds` of one occupation have the same
+    position.
     """
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
@@ -252,7 +258,7 @@ def over_marks(
     }
     if not stations:
         return setup, []
-    over = f", {len(shared)} marks are targets too" if shared & targets else ""
+    over = f", {len(shared)} marks are also targets" if shared & targets else ""
     kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
     note = f"{kind} are assumed levelled{over} (otherwise set levelled = false in setup.toml)"
     setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})
@@ -260,9 +266,9 @@ def over_marks(
 
 
 def _closes(table: PointingTable, readings: Floats) -> bool:
-    """True if lines seen to and fro between marks close in length, and in height where heights were measured.
+    """True if lines measured to and fro between marks agree in length, and in height if heights were measured.
 
-    By their median, without any heights of instruments and targets, on a round earth.
+    The median counts, without heights of instruments and targets, and with the curvature of the earth.
     """
     level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH)
@@ -275,7 +281,7 @@ def _closes(table: PointingTable, readings: Floats) -> bool:
         return False
     length, rise = np.abs(np.array(misses)).T
     heights = rise[np.isfinite(rise)]
-    return float(np.median(length)) < CLOSES_M and (not len(heights) or float(np.median(heights)) < CLOSES_M)
+    return float(np.median(length)) < MAX_CLOSURE_M and (not len(heights) or float(np.median(heights)) < MAX_CLOSURE_M)
 
 
 def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
@@ -283,8 +289,11 @@ def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
     return zip(table.mark, table.pointings.target, strict=True)
 
 
-def occupied(table: PointingTable) -> dict[str, list[str]]:
-    """Occupations of marks that each pointing joins, where no column says so: those of one day, in one role."""
+def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
+    """Occupations of marks that each pointing connects: those of one day, in one role.
+
+    They apply to a table without a column of occupations.
+    """
     printed = table.pointings
     days = printed.moment if table.column(("time",)) is None else [""] * len(printed)
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
@@ -293,9 +302,9 @@ def occupied(table: PointingTable) -> dict[str, list[str]]:
 
 
 def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note for readings that are those between the heads themselves, whatever heights stand beside them.
+    """Note on readings that refer to the heads themselves, so that heights in the table are not applied.
 
-    Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
+    Lines measured to and fro decide: their height differences cancel either with the heights (n, 2) [m] of instrument
     and target, or without them.
     """
     heights = np.nan_to_num(height)
@@ -309,11 +318,11 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
             lines.setdefault(line, []).append((up, other))
     mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
     misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
-    if len(misses) < LEAST_LINES:
+    if len(misses) < MIN_LINES:
         return []
     for kind in (np.median, np.max):
         without, applied = kind(misses, axis=0)
-        if not without < CLEARLY * applied:
+        if not without < MAX_CLOSURE_RATIO * applied:
             return []
     names = " and ".join(f"'{shown(c.title)}'" for c in table.columns if c.role in HEIGHTS)
     return [

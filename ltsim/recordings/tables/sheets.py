@@ -34,8 +34,8 @@ from ltsim.recordings.xml import check_part
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 WORKBOOK = b"PK\x03\x04"
 SEPARATORS = ("\t", ";", ",", " ")
-SAMPLE, SAMPLE_CHARACTERS = 400, 100_000
-"""Lines, and characters of them, that decide on the separator."""
+SAMPLE_LINES, SAMPLE_CHARACTERS = 400, 100_000
+"""Number of lines, and of characters in them, that decide on the separator."""
 
 
 class Row(NamedTuple):
@@ -47,15 +47,15 @@ class Row(NamedTuple):
 
     @property
     def values(self) -> int:
-        """Number of fields that hold a number or an angle."""
+        """Number of fields with a number or an angle."""
         return sum(map(is_value, self.fields))
 
     def cell(self, place: int) -> str:
-        """A field; empty where the row is too short for it."""
+        """Field at a position; empty if the row is shorter."""
         return self.fields[place] if place < len(self.fields) else ""
 
     def check_width(self, width: int, file: object) -> None:
-        """Raise RecordError where the row has another number of cells than the header."""
+        """Check that a row has as many cells as the header; raises RecordError."""
         if len(self.fields) != width:
             raise SourceLocation(file, self.line).error(f"{len(self.fields)} fields, expected {width} as in the header")
 
@@ -64,7 +64,7 @@ class Row(NamedTuple):
 
 
 class TextRows(Sequence[Row]):
-    """Rows of a text file, split into fields whenever one is asked for: as text they take a fifth of the memory."""
+    """Rows of a text file, split into fields on access: as text they take a fifth of the memory."""
 
     def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
         self._lines, self._separator = lines, separator
@@ -93,7 +93,7 @@ class TextRows(Sequence[Row]):
 
     @property
     def mixed(self) -> TextRows:
-        """Rows that may hold a field with both a comma and a point."""
+        """Rows that may have a field with both a comma and a point."""
         whole = self._separator == ","  # fields then hold commas in quotes alone
         mixed = [line for line in self._lines if "," in line[1] and "." in line[1] and ('"' in line[1] or not whole)]
         return TextRows(mixed, self._separator)
@@ -101,9 +101,9 @@ class TextRows(Sequence[Row]):
 
 @dataclass(frozen=True)
 class Sheet:
-    """Rows of a text file or of one sheet of a workbook; blank lines are left out.
+    """Rows of a text file or of one sheet of a workbook, without blank lines.
 
-    `open_end` says that the last line had no line break, `station` which set-up all rows belong to where that is known.
+    `open_end` is True if the last line has no line break; `station` is the set-up of all rows, if known.
     """
 
     file: Path
@@ -113,14 +113,16 @@ class Sheet:
 
     @cached_property
     def grouping(self) -> str:
-        """The mark that groups the thousands of its numbers; raises RecordError where there are two."""
+        """Thousands separator of the numbers; raises RecordError for two different ones."""
         rows = self.rows.mixed if isinstance(self.rows, TextRows) else self.rows
         return grouping_of((row.fields for row in rows), self.file)
 
     def check_whole(self, width: int, *, strict: bool = False) -> None:
-        """Raise RecordError where the last line has no line break and does not end as the one before it does.
+        """Check that the last line is complete: it has a line break or ends like the line before it.
 
-        `strict` is for what programs write, who end every line.
+        Raises RecordError.
+
+        `strict` requires the line break, for files written by programs.
         """
         if not self.open_end:
             return
@@ -129,11 +131,11 @@ class Sheet:
         before = next((candidate for candidate in earlier if len(candidate.fields) == width), None)
         ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
         if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
-            raise SourceLocation(self.file, row.line).error("the file ends inside this row: it was cut")
+            raise SourceLocation(self.file, row.line).error("the file ends inside this row and is incomplete")
 
 
 def is_folder(path: Path) -> bool:
-    """True if this is a folder of tables and no recording of ltsim."""
+    """True for a folder of tables that is no recording of ltsim."""
     try:
         return path.is_dir() and not (path / "observations.csv").exists() and bool(files_of(path))
     except OSError:
@@ -141,16 +143,17 @@ def is_folder(path: Path) -> bool:
 
 
 def files_of(path: Path) -> list[Path]:
-    """The file itself, or the tables of a folder by name."""
+    """The file itself, or the tables of a folder in the order of their names."""
     if not path.is_dir():
         return [path]
     return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in SUFFIXES and f.name[0] != ".")
 
 
 def sheets_of(path: Path) -> list[Sheet]:
-    """Every sheet of a file or of a folder's files; of several each is named as its set-up.
+    """Sheets of a file or of all files of a folder; several are each named by their set-up.
 
-    Raises RecordError for a file that is no text and no workbook, or lacks the library that reads workbooks.
+    Raises RecordError for a file that is neither text nor a workbook, and for a workbook if the library that reads it
+    is missing.
     """
     sheets = []
     for file in files_of(path):
@@ -159,13 +162,13 @@ def sheets_of(path: Path) -> list[Sheet]:
 
 
 def text_sheet(file: Path) -> Sheet:
-    """A text file as a sheet; raises RecordError."""
+    """Sheet of a text file; raises RecordError."""
     lines = read_lines(file, liberal=True)
     return Sheet(file, _rows(lines, file), file.stem, open_end=bool(lines[-1]))
 
 
 def _rows(lines: Sequence[str], file: Path) -> TextRows:
-    """The lines that hold something; raises RecordError for one of too many fields."""
+    """Rows of the lines that are not blank; raises RecordError for a line with too many fields."""
     separator = _separator_of(lines)
     held = []
     for i, line in enumerate(lines):
@@ -178,7 +181,7 @@ def _rows(lines: Sequence[str], file: Path) -> TextRows:
 
 
 def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
-    """Raise RecordError for a row of more columns than a table has."""
+    """Check of the number of columns in a row; raises RecordError for more than `FIELDS`."""
     if len(fields) > FIELDS:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {FIELDS}")
 
@@ -191,11 +194,13 @@ def rows_of_head(head: str) -> list[Row]:
 
 
 def _separator_of(lines: Sequence[str]) -> str:
-    """The separator that makes most values of most lines of one width; of equals the first of `SEPARATORS`.
+    """Separator for which most lines have equal width and contain most values.
 
-    Lines of three columns count before those of two, and those before the mere number of columns.
+    The first of `SEPARATORS` in case of a tie.
+
+    Lines with three columns have priority over those with two, and these over the number of columns.
     """
-    first = zip(lines[:SAMPLE], accumulate(map(len, lines[:SAMPLE]), initial=0), strict=False)
+    first = zip(lines[:SAMPLE_LINES], accumulate(map(len, lines[:SAMPLE_LINES]), initial=0), strict=False)
     sample = [line for line, before in first if before < SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
@@ -204,7 +209,7 @@ def _separator_of(lines: Sequence[str]) -> str:
 
 
 def _values(lines: Sequence[str], separator: str, least: int) -> int:
-    """Cells that hold values in the lines of one width, of `least` columns at least, that hold most."""
+    """Largest number of cells with values in lines of equal width with at least `least` columns."""
     rows = [fields for fields in (_split(line, separator) for line in lines) if len(fields) >= least]
     test = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
@@ -214,7 +219,7 @@ def _values(lines: Sequence[str], separator: str, least: int) -> int:
 
 
 def _split(line: str, separator: str) -> tuple[str, ...]:
-    """The fields of one line; quotes count where they are quotes of CSV."""
+    """Fields of one line; CSV quotes are removed."""
     if separator == " ":
         return tuple(line.split())
     if '"' in line:
@@ -227,13 +232,13 @@ def _split(line: str, separator: str) -> tuple[str, ...]:
 
 
 def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """The header of a small table that a person wrote, and its rows by column, each with its line.
+    """Header of a small user-written table, and its rows by column, each with its line number.
 
     Raises RecordError when a column is there twice, or a row has more or fewer cells than the header.
     """
     lines = [row for row in text_sheet(path).rows if not row.comment]
     if not lines:
-        raise RecordError("holds comments only, expected a header and rows", file=path)
+        raise RecordError("contains only comments, expected a header and rows", file=path)
     header, *rows = lines
     twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
     if twice is not None:
@@ -244,7 +249,7 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
 
 
 def _workbook(file: Path) -> list[Sheet]:
-    """Sheets of a workbook (xlsx) that hold something, each named; raises RecordError."""
+    """Sheets of a workbook (xlsx) that are not empty, with names; raises RecordError."""
     sheets = [Sheet(file, tuple(_row(*line) for line in cells), name) for name, cells in workbook_cells(file)]
     for row in chain.from_iterable(sheet.rows for sheet in sheets):
         _check_fields(row.fields, row.line, file)
@@ -259,13 +264,14 @@ def _row(line: int, fields: Sequence[str]) -> Row:
 
 _MOMENTS = (datetime, date, time)
 Line = tuple[int, list[str]]
-"""Number of a row, from 1, and its cells up to the last that is filled."""
+"""Number of a row, from 1, and its cells up to the last one that is not empty."""
 
 
 def workbook_cells(file: Path) -> list[tuple[str, list[Line]]]:
-    """Names of the sheets of a workbook, each with the rows that hold something.
+    """Names of the sheets of a workbook, each with its rows that are not empty.
 
-    Raises RecordError for what is no workbook, is damaged, exceeds a limit, or lacks the library that reads workbooks.
+    Raises RecordError for a file that is no workbook, is damaged or exceeds a limit, and if the library that reads
+    workbooks is missing.
     """
     try:
         from openpyxl import load_workbook
@@ -287,19 +293,19 @@ def workbook_cells(file: Path) -> list[tuple[str, list[Line]]]:
     except OSError as problem:
         raise RecordError(f"cannot be read ({problem.strerror or 'damaged'})", file=file) from None
     except Exception as problem:  # the library raises whatever its parts raise
-        what = f"is no workbook that can be read ({type(problem).__name__}): it is damaged; save it again, or as CSV"
+        what = f"is not a readable workbook ({type(problem).__name__}): it is damaged; save it again, or as CSV"
         raise RecordError(what, file=file) from None
 
 
 def _check_parts(file: Path, packed: io.BytesIO) -> None:
-    """Raise RecordError where a workbook unpacks to more than a recording ever holds, or its markup is too deep."""
+    """Check of the unpacked size and of the XML depth of a workbook; raises RecordError."""
     with zipfile.ZipFile(packed) as archive:
         parts = archive.infolist()
         if len(parts) > WORKBOOK_PARTS:
-            raise RecordError(f"holds more than {WORKBOOK_PARTS} parts, the most that is read", file=file)
+            raise RecordError(f"holds more than {WORKBOOK_PARTS} parts, the limit for reading", file=file)
         if sum(part.file_size for part in parts) > WORKBOOK_BYTES:
             most = f"{WORKBOOK_BYTES // MIB} MiB"
-            raise RecordError(f"unpacks to more than {most}, the most that is read; save the table as CSV", file=file)
+            raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
         for part in parts:
             content = archive.read(part)
             if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark
@@ -307,10 +313,10 @@ def _check_parts(file: Path, packed: io.BytesIO) -> None:
 
 
 def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
-    """Rows of all sheets of an open workbook, counted together: several sheets may name the same part."""
+    """Rows of all sheets of an open workbook, counted together because several sheets may refer to the same part."""
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > SHEETS:
-        raise RecordError(f"holds more than {SHEETS} sheets, the most that is read", file=file)
+        raise RecordError(f"holds more than {SHEETS} sheets, the limit for reading", file=file)
     rows = cells = characters = 0
     contents = []
     for sheet in sheets:
@@ -320,28 +326,28 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
             where = f"up to row {number} of sheet {shown(sheet.title)}"
             rows, cells = rows + 1, cells + len(values)
             if rows > LINES or cells > CELLS:
-                what = f"holds more than {LINES} rows or {CELLS} cells {where}, the most that is read"
+                what = f"holds more than {LINES} rows or {CELLS} cells {where}, the limit for reading"
                 raise RecordError(f"{what}; delete the cells far away from the table", file=file)
             texts = _texts(values)
             size = sum(map(len, texts))
             characters += size
             if size > LINE_CHARACTERS or characters > FILE_BYTES:
                 most = f"{LINE_CHARACTERS} characters in a row or {FILE_BYTES // MIB} million in all"
-                raise RecordError(f"holds more than {most} {where}, the most that is read", file=file)
+                raise RecordError(f"holds more than {most} {where}, the limit for reading", file=file)
             lines += [(number, texts)] if texts else []
         contents.append((sheet.title, lines))
     return contents
 
 
 def _text(cell: object) -> str:
-    """Text of a cell; a day without a clock as a date alone."""
+    """Text of a cell; a date without a time of day is written without one."""
     if isinstance(cell, datetime) and cell.time() == time():
         cell = cell.date()
     return "" if cell is None else cell.isoformat() if isinstance(cell, _MOMENTS) else str(cell).strip()
 
 
 def _texts(values: tuple[Any, ...]) -> list[str]:
-    """Cells of a row as text: dates in ISO form, numbers with their shortest digits, nothing behind the last."""
+    """Texts of the cells of a row: ISO dates, numbers with their shortest digits, no empty cells at the end."""
     texts = list(map(_text, values))
     while texts and not texts[-1]:
         texts.pop()

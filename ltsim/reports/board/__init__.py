@@ -1,1 +1,1 @@
-"""A plan in the browser: stations moved by hand, and at once what the layout would tell."""
+"""Interactive planner in the browser: stations are moved by hand, and the accuracy of the layout is updated at once."""

@@ -1,4 +1,4 @@
-"""Interactive plan: accuracy of a layout whose stations are moved by hand, and its files."""
+"""Layout of a hall whose stations are moved by hand: its accuracy, and its files."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.layout_scenario import PLAN, SCENARIO, with_cad_copied, with_layout
 from ltsim.planning.planner import sight_table
 from ltsim.planning.result import opened
-from ltsim.planning.site import FEWEST, TOUCH, SearchSpace, words_of
+from ltsim.planning.site import COINCIDENCE_M, MIN_TARGETS, SearchSpace, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Tolerances, judged, keeps, losses_of, percent, radius, verdict
+from ltsim.planning.tolerances import Tolerances, is_met, judged, losses_of, percent, radius, verdict
 from ltsim.planning.workshop import as_it_stands
 from ltsim.recordings.files import write_texts
 from ltsim.recordings.settings import to_toml
@@ -35,21 +35,21 @@ from ltsim.scene.visibility import Reason, shadow_radius
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
-MOST_TRIANGLES = 20_000
+MAX_TRIANGLES = 20_000
 """Largest number of triangles of obstacles drawn from above; the largest triangles are retained."""
-FEWEST_STATIONS, MOST_STATIONS = 2, 40
+MIN_STATIONS, MAX_STATIONS = 2, 40
 """Smallest and largest number of stations of a layout, as of a plan file."""
 NAME = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
-MOST_PLACES = 200
+MAX_PLACES = 200
 """Largest number of places of a grid at which a further station is offered."""
-FAR = 1e6
-"""Largest coordinate [mm] of a station."""
+MAX_COORDINATE_MM = 1e6
+"""Largest magnitude of a coordinate [mm] of a station."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """Layout of a hall whose stations are moved by hand."""
+    """Layout of a hall with movable stations."""
 
     file: PlanFile
     scenario: Scenario
@@ -62,13 +62,13 @@ class Board:
 
     @classmethod
     def of(cls, source: str | Path) -> Board:
-        """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
+        """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
         named, scenario = opened(source)
         file, site = as_it_stands(named, scenario)
         return cls(file, scenario, site, planned_construction(scenario), Tolerances.of(file))
 
     def hall(self) -> dict[str, Any]:
-        """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial places of stations."""
+        """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial station positions."""
         survey, floor = self.site.survey, self.file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
@@ -101,14 +101,14 @@ class Board:
 
     @cached_property
     def _places(self) -> Floats:
-        """Places (P, 3) [m] where a further station may stand and see targets enough, `MOST_PLACES` of them."""
+        """Places (P, 3) [m] for an additional station with enough visible targets, at most `MAX_PLACES` of them."""
         search = self.file.search
         places = self.site.places(grid_step(self.site.areas, search.grid_mm), search.heights)
-        places = places[:: max(1, -(-len(places) // MOST_PLACES))]
-        return places[self.site.visible(places).sum(axis=1) >= FEWEST] if len(places) else places
+        places = places[:: max(1, -(-len(places) // MAX_PLACES))]
+        return places[self.site.visible(places).sum(axis=1) >= MIN_TARGETS] if len(places) else places
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
-        """Survey with the given stations: `name`, `mm` (3) and `yaw` [deg] of each; raises SetupError.
+        """Survey with the given stations (`name`, `mm` (3) and `yaw` [deg] of each); raises SetupError.
 
         Additional stations take sights and order of the stations of the plan in turn.
         """
@@ -119,10 +119,12 @@ class Board:
             yaw = np.array([s["yaw"] for s in stations], dtype=np.float64)
         except (KeyError, TypeError, ValueError):
             raise SetupError("each station needs name, mm (x, y, z) and yaw") from None
-        if not np.all(np.abs([*place.ravel(), *yaw]) < FAR):
-            raise SetupError(f"coordinates and yaw of a station must be smaller than {FAR:g} mm and degrees")
-        if not FEWEST_STATIONS <= len(names) <= MOST_STATIONS:
-            raise SetupError(f"a layout has {FEWEST_STATIONS} to {MOST_STATIONS} stations, not {len(names)}")
+        if not np.all(np.abs([*place.ravel(), *yaw]) < MAX_COORDINATE_MM):
+            raise SetupError(
+                f"coordinates and yaw of a station must be smaller than {MAX_COORDINATE_MM:g} mm and degrees"
+            )
+        if not MIN_STATIONS <= len(names) <= MAX_STATIONS:
+            raise SetupError(f"a layout has {MIN_STATIONS} to {MAX_STATIONS} stations, not {len(names)}")
         if len({*names}) < len(names) or not all(re.fullmatch(NAME, name) for name in names):
             raise SetupError("each station needs a different name of letters, digits, points and hyphens")
         before = survey.station_names
@@ -171,7 +173,7 @@ class Board:
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Verdict on rules and tolerances, also after the loss of any one station; None without tolerances."""
+        """Verdict on rules and tolerances, also after the loss of any single station; None without tolerances."""
         survey = self.survey(stations)
         if not self.demands or _touches(survey):
             return None
@@ -207,12 +209,12 @@ class Board:
 
 def _against(ratio: float) -> dict[str, Any]:
     """Ratio of an error to its tolerance, its text in percent, and True if the tolerance is met."""
-    return {"ratio": ratio, "used": percent(ratio), "met": keeps(ratio)}
+    return {"ratio": ratio, "used": percent(ratio), "met": is_met(ratio)}
 
 
 def _touches(survey: Survey) -> bool:
     """True if a station coincides with a target, so that no accuracy can be computed."""
-    return bool(np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH)
+    return bool(np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < COINCIDENCE_M)
 
 
 def _from_above(obstacles: Any) -> str:
@@ -223,6 +225,6 @@ def _from_above(obstacles: Any) -> str:
     first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     flat = np.where(area[:, None, None] < 0, flat[:, ::-1], flat)  # equal orientation, else overlaps would be holes
-    largest = np.argsort(-np.abs(area), kind="stable")[:MOST_TRIANGLES]
+    largest = np.argsort(-np.abs(area), kind="stable")[:MAX_TRIANGLES]
     shown = np.round(flat[largest[area[largest] != 0]], 3).tolist()
     return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in triangle) + "Z" for triangle in shown)

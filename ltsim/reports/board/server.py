@@ -28,16 +28,16 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.reports.board.board import Board
-from ltsim.reports.document import POLICY
+from ltsim.reports.document import CONTENT_SECURITY_POLICY
 
 HERE = "127.0.0.1"
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Largest size of the body of a request [byte]."""
-MOST_CONNECTIONS = 32
+MAX_CONNECTIONS = 32
 """Largest number of simultaneous connections; a browser opens six."""
-PATIENCE = 10.0
-"""Time [s] in which a request has to arrive, however slowly it is sent."""
-WAIT = 0.2
+REQUEST_TIMEOUT_S = 10.0
+"""Largest time [s] for the complete arrival of a request."""
+POLL_INTERVAL = 0.2
 """Time [s] between two checks for Ctrl-C."""
 HEADERS = {
     "Cache-Control": "no-store",
@@ -46,12 +46,12 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""HTTP headers of every answer, which keep answer and address private and the page out of the frames of others."""
+"""HTTP headers of every answer: no caching, no referrer, no display in frames of other pages."""
 Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
 class StationPlace(BaseModel):
-    """A station as the page has moved it."""
+    """Station as moved on the page."""
 
     model_config = ConfigDict(strict=True)
 
@@ -98,7 +98,7 @@ class BoardAccess:
         """HTML of the page, with the hall."""
         hall = json.dumps(self.board.hall() | {"folder": str(self.folder)}).replace("<", "\\u003c")
         text = (files("ltsim.reports.board") / "page.html").read_text(encoding="utf-8")
-        policy = POLICY.replace("connect-src", "connect-src 'self'")
+        policy = CONTENT_SECURITY_POLICY.replace("connect-src", "connect-src 'self'")
         palette = (files("ltsim.reports") / "templates" / "palette.css").read_text(encoding="utf-8")
         return text.replace("POLICY", policy, 1).replace("PALETTE", palette, 1).replace("HALL", hall, 1)
 
@@ -135,13 +135,13 @@ class _Handler(BaseHTTPRequestHandler):
     access: BoardAccess
     hosts: frozenset[str]
     """Allowed values of Host, and of Origin after http://."""
-    timeout = PATIENCE
+    timeout = REQUEST_TIMEOUT_S
     server_version, sys_version = "ltsim", ""
 
     def setup(self) -> None:
-        """Prepare the connection, from which nothing is read after `PATIENCE`."""
+        """Prepare the connection, from which nothing is read after `REQUEST_TIMEOUT_S`."""
         super().setup()
-        self._deadline = threading.Timer(PATIENCE, self._stop_reading)
+        self._deadline = threading.Timer(REQUEST_TIMEOUT_S, self._stop_reading)
         self._deadline.daemon = True
         self._deadline.start()
 
@@ -180,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
             return Answer(HTTPStatus.LENGTH_REQUIRED)
         if not (lengths[0].isascii() and lengths[0].isdigit()):
             return Answer(HTTPStatus.BAD_REQUEST)
-        if len(lengths[0]) > len(str(MOST_BYTES)) or int(lengths[0]) > MOST_BYTES:
+        if len(lengths[0]) > len(str(MAX_BYTES)) or int(lengths[0]) > MAX_BYTES:
             return Answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         body = self.rfile.read(int(lengths[0]))
         return body if len(body) == int(lengths[0]) else Answer(HTTPStatus.REQUEST_TIMEOUT)
@@ -207,11 +207,11 @@ class _Server(ThreadingHTTPServer):
     """Server with a limited number of connections, which ignores broken ones."""
 
     daemon_threads = True
-    request_queue_size = 2 * MOST_CONNECTIONS
+    request_queue_size = 2 * MAX_CONNECTIONS
     """Length of the queue of waiting connections."""
 
     def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
-        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._free = threading.BoundedSemaphore(MAX_CONNECTIONS)
         super().__init__(address, handler)
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
@@ -248,7 +248,7 @@ def serve(access: BoardAccess, announce: Callable[[str], None], port: int = 0) -
             announce(f"http://{HERE}:{server.server_port}/{access.token}/")
             while True:
                 try:
-                    future, method, path, body = work.get(timeout=WAIT)
+                    future, method, path, body = work.get(timeout=POLL_INTERVAL)
                 except Empty:
                     continue
                 future.set_result(_answered(access, method, path, body))

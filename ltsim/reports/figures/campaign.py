@@ -22,7 +22,7 @@ from ltsim.core.units import BY_ENDING
 from ltsim.reports import style
 from ltsim.reports.words import typeset
 
-MOST_PANELS, MOST_LINES = 12, 8
+MAX_PANELS, MAX_LINES = 12, 8
 LETTERS = 26
 """Width of a label per row of panels [characters]."""
 NINETY, FLOOR = "90 % of trials", "noise floor"
@@ -126,7 +126,7 @@ def swept(
 def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
     """Figure of the means of a statistic along a factor, one line per method, as of `Results.plot`."""
     if not along:
-        names = " or ".join(f.name for f in results.factors) or "none, since nothing varies"
+        names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
         raise ModelError(f"along is empty; give a factor of the campaign: {names}")
     axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
@@ -157,13 +157,13 @@ def by_factor(
     joined : bool
         True to join the points of a line. If False, each panel has its own factor, named by the panel.
     """
-    panels = list(dict.fromkeys(row.panel for row in rows))[:MOST_PANELS]
+    panels = list(dict.fromkeys(row.panel for row in rows))[:MAX_PANELS]
     across = min(len(panels), 2)
     down = -(-len(panels) // across)
     figure = style.new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
     axes = figure.subplots(down, across, sharex=joined, sharey=True, squeeze=False)
     words = list(dict.fromkeys(row.x for row in rows if isinstance(row.x, str)))
-    names = list(dict.fromkeys(row.line for row in rows))[:MOST_LINES]
+    names = list(dict.fromkeys(row.line for row in rows))[:MAX_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
             points = [row for row in rows if (row.panel, row.line) == (panel, name)]
@@ -234,7 +234,7 @@ def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, join
     ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
 
 
-MOST_SETTINGS = 40
+MAX_SETTINGS = 40
 
 
 @style.styled
@@ -250,7 +250,7 @@ def by_setting(rows: Sequence[SweepPoint], *, label: str, published: float | Non
     published : float, optional
         A published value to compare with.
     """
-    settings = list(dict.fromkeys(str(row.x) for row in rows))[:MOST_SETTINGS]
+    settings = list(dict.fromkeys(str(row.x) for row in rows))[:MAX_SETTINGS]
     methods = list(dict.fromkeys(row.line for row in rows))
     figure, ax = style.panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     places = dict(zip(settings, style.category_rows(ax, settings), strict=True))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.statistics import Spread
-from ltsim.reports.figures.campaign import MOST_LINES, MOST_PANELS, SweepPoint, by_factor, by_setting, short, title
+from ltsim.reports.figures.campaign import MAX_LINES, MAX_PANELS, SweepPoint, by_factor, by_setting, short, title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,9 +68,9 @@ def drawn(
     elif factors and of_grid and cells > 2:
         axis, rows = _lines(results, factors, spreads)
         names = list(dict.fromkeys(row.panel for row in rows))
-        for first in range(0, len(names), MOST_PANELS):
-            shown = names[first : first + MOST_PANELS]
-            part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
+        for first in range(0, len(names), MAX_PANELS):
+            shown = names[first : first + MAX_PANELS]
+            part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MAX_PANELS else ""
             yield several + part, partial(by_factor, [row for row in rows if row.panel in shown], axis=axis, **how)
     else:
         named = cell_words(results)
@@ -95,7 +95,7 @@ def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Facto
     rest = [f for f in factors if f is not along]
     if len(results.manifest.methods) > 1 or not rest:
         return along, None, rest
-    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MOST_LINES else 0)
+    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MAX_LINES else 0)
     return along, across, [f for f in rest if f is not across]
 
 

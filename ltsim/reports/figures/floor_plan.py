@@ -69,12 +69,12 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
 
 
 LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
-MOST_LABELS = 60
+MAX_LABELS = 60
 FEW_DOTS = 150
 """Number of targets above which their marks are rasterised."""
 FEW_TRIANGLES = 2_000
 """Number of triangles of obstacles above which they are rasterised: as vectors each takes 200 bytes of a page."""
-MOST_PLACES, MOST_STACKED = 16, 4
+MAX_PLACES, MAX_STACKED = 16, 4
 NEAR = 0.05
 """Distance within which targets share a label, over the size of the floor."""
 WIDE, HEIGHTS, ROW = 4.3, (3.6, 6.6), 0.16
@@ -136,10 +136,10 @@ def floor_plan(
     ax.set_ylim(low[1], high[1])
     marked = marks(ax)
     labels_of = [*marked, *_station_labels(workshop), *names]
-    if len(workshop.targets) <= MOST_LABELS:
+    if len(workshop.targets) <= MAX_LABELS:
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
-    if coordinates and len(workshop.stations) <= MOST_PLACES:
+    if coordinates and len(workshop.stations) <= MAX_PLACES:
         blank, places = _places(workshop, entries=len(labels))
         handles, labels = [*handles, *blank], [*labels, *places]
         figure.set_figheight(figure.get_figheight() + ROW * len(places))
@@ -237,7 +237,7 @@ def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
 def _pies(ax: Axes, workshop: PlacedWorkshop, visible: Bools) -> None:
     """Draw each target as a circle with a slice in the colour of each station that sees it."""
     x, y = workshop.points[:, :2].T
-    size = 62 if len(workshop.targets) <= MOST_LABELS else 34
+    size = 62 if len(workshop.targets) <= MAX_LABELS else 34
     label = "target: slices are the\nstations that see it"
     ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK, linewidths=0.7, zorder=4, label=label)
     turn = 2 * np.pi / len(visible)
@@ -295,7 +295,7 @@ def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
         away = (place - middle) / size
         sideways = abs(away[0]) > abs(away[1])
         turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
-        text = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
+        text = " ".join(names) if len(names) < MAX_STACKED else f"{names[0]} +{len(names) - 1}"
         labels.append(Label(text, place, away=turn))
     return labels
 
@@ -345,7 +345,7 @@ def whereabouts(
     ax = figure.axes[0]
     if area and len(area) == 2:
         (x, wide), (y, high) = area["x"], area["y"]
-        least = LEAST_AREA * workshop.size
+        least = MIN_AREA * workshop.size
         ax.add_patch(Ellipse((x, y), 2 * max(wide, least), 2 * max(high, least), color=style.RED, alpha=0.35, zorder=8))
         ax.scatter(x, y, marker="+", s=90, color=style.RED, zorder=9)
     elif area:
@@ -364,7 +364,7 @@ def whereabouts(
     return figure
 
 
-LEAST_AREA = 0.015
+MIN_AREA = 0.015
 """Half-width with which a place of the hall is drawn at least, over the size of the hall."""
 SAME_PLACE = 0.04
 """Distance within which changes share a mark, over the size of the hall."""

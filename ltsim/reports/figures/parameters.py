@@ -175,7 +175,7 @@ def criteria_figure(criteria: Table) -> Figure:
     return figure
 
 
-MOST_SOURCES = 7
+MAX_SOURCES = 7
 """Number of sources with a separate colour; smaller ones are summed."""
 
 
@@ -191,7 +191,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
         Share of each source in every result, 0 to 1.
     """
     ranked = sorted(shares, key=lambda name: -float(np.sum(shares[name])))
-    largest, rest = ranked[:MOST_SOURCES], ranked[MOST_SOURCES:]
+    largest, rest = ranked[:MAX_SOURCES], ranked[MAX_SOURCES:]
     rows = {name: np.asarray(shares[name], dtype=np.float64) for name in largest}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
@@ -203,7 +203,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
         ax.barh(places, 100 * share, left=100 * start, height=0.62, color=colour, label=name)
         start += share
     ax.set_xlim(0, 100)
-    ax.set_xlabel("share of the variance [%]")
+    ax.set_xlabel("part of the variance [%]")
     ax.grid(visible=False, axis="y")
     style.legend_of(figure, [ax], ncols=2)
     return figure
@@ -248,7 +248,7 @@ def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], a
     return figure
 
 
-MOST_NAMED = 14
+MAX_NAMED = 14
 """Largest number of layouts that are named in a figure."""
 COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
 MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
@@ -276,7 +276,7 @@ def trade_off(plan: Plan, name: str) -> Figure:
             ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
             if kind == "best":
                 ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
-    for hour, size, way in kinds["best"][:MOST_NAMED]:
+    for hour, size, way in kinds["best"][:MAX_NAMED]:
         ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
     if (every > 0).all() and every.max() > 20 * every.min():
         ax.set_yscale("log")

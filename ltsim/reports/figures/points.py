@@ -10,7 +10,7 @@ from ltsim.measurands.comparison import Comparison
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import Label, place_labels
 
-VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
+VIEWS = (("seen from above", 0, 1), ("side view", 0, 2))
 
 
 @style.styled
@@ -75,8 +75,8 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
 
 
 OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
-MOST_NAMES = 40
-MOST_STATIONS, NAME = 8, 20
+MAX_NAMES = 40
+MAX_STATIONS, NAME = 8, 20
 """Largest number of stations in a legend, and of characters of a name."""
 BELOW_LEGEND = 0.86
 """Fraction of the axes below an inside legend."""
@@ -114,7 +114,7 @@ def _faces(ax: Axes, check: Check) -> None:
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.quiet_axis(ax)
     ax.set_title("Half two-face differences over their limits")
-    ax.set_ylabel("share of the limit")
+    ax.set_ylabel("fraction of the limit")
     if not names:
         ax.text(0.5, 0.5, "no target was measured on both faces", transform=ax.transAxes, ha="center")
         ax.set_xticks([])
@@ -122,7 +122,7 @@ def _faces(ax: Axes, check: Check) -> None:
     ax.set_xlim(-0.8, at - 0.2)
     low, high = ax.get_ylim()
     ax.set_ylim(low, low + (high - low) / BELOW_LEGEND)
-    few = len(names) <= MOST_NAMES
+    few = len(names) <= MAX_NAMES
     ax.set_xticks(range(at) if few else [], [style.shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
     ax.legend(loc="upper right", ncols=3)
 
@@ -133,7 +133,7 @@ def _course(ax: Axes, check: Check) -> None:
         if setup.visit is None:
             continue
         size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))
-        label = style.shorten(setup.station, NAME) if i < MOST_STATIONS else None
+        label = style.shorten(setup.station, NAME) if i < MAX_STATIONS else None
         ax.plot(
             setup.visit.recording.time / scale, size, ".", ms=4, color=style.CYCLE[i % len(style.CYCLE)], label=label
         )

@@ -14,7 +14,7 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
 
-MOST_STATIONS, MOST_DOTS = 30, 40
+MAX_STATIONS, MAX_DOTS = 30, 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
 BAND = 1.96
 
@@ -29,7 +29,7 @@ def residuals_by_covariate(residuals: Residuals) -> Figure:
         for observable, colour in zip(OBSERVABLES, style.CYCLE, strict=False):
             rows = residuals.of(observable) & np.isfinite(residuals.w)
             x, w = residuals.covariates[name][rows], residuals.w[rows]
-            ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MOST_DOTS, zorder=1.5)
+            ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MAX_DOTS, zorder=1.5)
             _running_mean(ax, x, w, colour=colour, label=observable)
         ax.axhline(0.0, color=style.INK, linewidth=0.6)
         style.quiet_axis(ax, grid="both")
@@ -47,7 +47,7 @@ def residuals_by_covariate(residuals: Residuals) -> Figure:
 def residuals_by_station(after: Residuals, before: Residuals | None = None) -> Figure:
     """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
     shown = [name for name in OBSERVABLES if after.of(name).any()]
-    stations = after.stations[:MOST_STATIONS]
+    stations = after.stations[:MAX_STATIONS]
     figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     sides = [(after, 0.18 if before else 0.0, style.AFTER, "after")]
@@ -57,7 +57,7 @@ def residuals_by_station(after: Residuals, before: Residuals | None = None) -> F
             for place, station in enumerate(stations):
                 values = residuals.residual[residuals.of(observable) & (residuals.station == station)]
                 x = place + shift + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
-                label, many = (word if place == 0 else None), len(values) > MOST_DOTS
+                label, many = (word if place == 0 else None), len(values) > MAX_DOTS
                 ax.plot(x, values, ".", ms=2.5, color=colour, alpha=0.7, label=label, rasterized=many, zorder=1.5)
                 size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
                 bar = f"± rms {word}" if place == 0 else None
@@ -89,11 +89,11 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
             here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
                 _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
-            _dots(ax, residuals, here, covariate, color=style.AFTER, label="where the finding acts", ms=4.0)
+            _dots(ax, residuals, here, covariate, color=style.AFTER, label="place of the finding", ms=4.0)
             _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
             w = normalised[here]
             size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
-            ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
+            ax.set_title(f"{word}: rms {size:.2f} of the noise", fontsize=8, fontweight="normal")
         line[0].set_ylabel(_reading(observable))
     for ax in grid[-1]:
         ax.set_xlabel(axis_text(covariate))
@@ -153,7 +153,7 @@ def _reading(observable: str) -> str:
 
 def _dots(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **look: Any) -> None:
     """Draw residuals over a covariate with a line at zero; `look` is passed to matplotlib."""
-    many = int(rows.sum()) > MOST_DOTS
+    many = int(rows.sum()) > MAX_DOTS
     x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
     ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.6)

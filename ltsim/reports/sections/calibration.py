@@ -21,13 +21,13 @@ from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
+    BulletList,
     Fact,
-    Grid,
     Note,
-    Notes,
     Picture,
     ReportContext,
     Section,
+    TableBlock,
     mood,
     table_block,
     table_of,
@@ -49,10 +49,10 @@ from ltsim.simulation.truth import Truth
 if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop, Sights
 
-LEAST_CHANGE = 0.05
-"""[%] Change of a criterion from which it is reported as a change: the last digit that is shown."""
+MIN_CHANGE = 0.05
+"""Smallest change of a criterion [%] that is reported as a change: the last displayed digit."""
 SETTLED = ("", "converged", "not stated")
-"""Statuses of a fit that give no warning."""
+"""Statuses of a fit without a warning."""
 
 
 def calibration_section(content: Calibration, context: ReportContext) -> Section:
@@ -67,7 +67,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     check_source(content, recording, context.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
-        words = "the noise was estimated from the same readings, so that the global test does not apply"
+        words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in SETTLED
     targets, residuals = (context.file(table.file, content) for table in (TARGETS, RESIDUALS))
     pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
@@ -100,8 +100,10 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     if after is not None and not context.brief:
         blocks += residual_blocks(after, before)
     if content.effects:
-        blocks.append(Notes("Effects estimated with the calibration", [effect.sentence for effect in content.effects]))
-    note = "Information: share of the prior variance that the recording removes; 0 % means that it adds nothing."
+        blocks.append(
+            BulletList("Effects estimated with the calibration", [effect.sentence for effect in content.effects])
+        )
+    note = "Information: part of the prior variance that the recording removes; at 0 % it adds nothing."
     blocks += undetermined("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
@@ -132,7 +134,7 @@ def _answer(content: Calibration, agreement_words: str, targets: Path | None) ->
     if distance is not None and distance.improvement_percent is not None:
         change = distance.improvement_percent
         word = "better" if change >= 0 else "worse"
-        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= LEAST_CHANGE else "as well as"
+        compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
             f"({number(distance.before.mean_um)} to {number(distance.after.mean_um if distance.after else None)} um)"
@@ -192,20 +194,20 @@ def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Bl
     if content.verdict.sentence and not content.noise_estimated:
         blocks.append(Note("Verdict", content.verdict.sentence))
     lines = uncertainty_sentences(content)
-    blocks += [Notes("Uncertainty", lines)] if lines else []
+    blocks += [BulletList("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
         lines = [*([content.correction.line] if agrees else []), *content.correction.sentences]
-        blocks += [Notes("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
+        blocks += [BulletList("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
     blocks += table_block("Outlying readings", OUTLIERS.filled(content.outliers))
-    note = "Factor: estimated over stated standard deviation; typical sigma: median over the readings."
+    note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
     return blocks + table_block("Noise estimated from the readings", NOISE.filled(content.noise), note=note)
 
 
-def _reference_values(content: Calibration) -> list[Grid]:
-    note = "Residual: stated minus adjusted value; error: estimate from all other observations, +- one sigma."
+def _reference_values(content: Calibration) -> list[TableBlock]:
+    note = "Residual: declared minus adjusted value; error: estimate from all other observations, +- one sigma."
     shown = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
     return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "excluded", note=note)
@@ -260,14 +262,14 @@ def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
     return blocks
 
 
-def _criteria(content: Calibration) -> list[Grid]:
+def _criteria(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
     return table_block("Criteria before and after calibration", content.criteria.criteria_table(), note=text)
 
 
-def _stations(content: Calibration) -> list[Grid]:
+def _stations(content: Calibration) -> list[TableBlock]:
     rows = [
         [s.name, *s.position_mm, *(None if v is None else 2e3 * v for v in s.sigma_position_mm or (None,) * 3)]
         for s in content.stations

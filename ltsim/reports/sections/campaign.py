@@ -15,7 +15,7 @@ from ltsim.campaigns.schema import ERRORS, MEANS_BY_LEVEL, SHARES, VARIED, Manif
 from ltsim.campaigns.statistics import Checked, Scores, Spread
 from ltsim.core.notation import number
 from ltsim.core.results import Table as TableOf
-from ltsim.reports.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
+from ltsim.reports.document import Block, CodeBlock, Fact, Picture, Section, TableBlock, mood, table_block
 from ltsim.reports.figures.campaign import (
     ALLOWED,
     PAPER,
@@ -32,16 +32,16 @@ from ltsim.simulation.keys import meaning_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_DRAWN = 200_000
+MAX_DRAWN = 200_000
 """Largest number of trials in a figure; tables and intervals use all trials."""
-MOST_CELLS, MOST_VALUES, MOST_SHOWN, MOST_ROWS = 3, 8, 4, 48
+MAX_CELLS, MAX_VALUES, MAX_SHOWN, MAX_ROWS = 3, 8, 4, 48
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
     {
         "distance_improvement_percent": "distance criterion, improvement [%]",
         "coordinate_improvement_percent": "coordinate criterion, improvement [%]",
-        "share_removed": "share of the correctable error removed",
+        "share_removed": "fraction of the correctable error removed",
         "target_error_um": "error of the targets [µm]",
     }
 )
@@ -66,9 +66,9 @@ def campaign_section(folder: Path) -> Section:
     shown[1:1] = _errors(results, spreads)
     blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
     blocks += [*_coverage(results, scores), *_statistics(results, spreads, ends)]
-    blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
+    blocks.append(CodeBlock("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
     scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios]
-    blocks.append(Listing("Scenarios of its cells", json.dumps(scenarios, indent=1)))
+    blocks.append(CodeBlock("Scenarios of its cells", json.dumps(scenarios, indent=1)))
     versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
     return Section(
         title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",
@@ -81,7 +81,7 @@ def campaign_section(folder: Path) -> Section:
         versions=versions,
         axes="those of the scenario",
         instrument=of_presets(manifest.scenarios),
-        shown=min(len(shown), MOST_SHOWN),
+        shown=min(len(shown), MAX_SHOWN),
     )
 
 
@@ -144,15 +144,15 @@ def _varied(results: Results) -> list[Block]:
     rows = []
     for factor in results.factors:
         values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
-        shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
+        shown = values if len(values) <= MAX_VALUES else [values[0], "...", values[-1]]
         meaning = meaning_of(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
     return [*table_block("What was varied", VARIED.filled(rows))]
 
 
-def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Grid]:
+def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[TableBlock]:
     """Table of means over the cells of each level, if there are many cells; factors with few levels first."""
-    if len(results.levels) <= MOST_ROWS:
+    if len(results.levels) <= MAX_ROWS:
         return []
     groups: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varied(results), key=lambda f: len(set(level_column(results, f)))):
@@ -197,7 +197,7 @@ def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDist
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
     wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
-    values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
+    values = {c: results.values(c, cell, results.manifest.methods[0], most=MAX_DRAWN) for c in wanted}
     return [
         TrialDistribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
         for c, v in values.items()
@@ -219,10 +219,10 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
     for method in dict.fromkeys(s.method for s in scores):
         mine = [s for s in scores if s.method == method]
         rows = [s for s in mine if s.cell == mine[0].cell and s.trials > 1]
-        if rows and len(blocks) < MOST_CELLS:
+        if rows and len(blocks) < MAX_CELLS:
             place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(Picture(f"Coverage: {method}{place}", partial(coverage, rows), coverage_words(rows)))
-    text = "z: (estimate - truth) / stated sigma; correct sigmas give mean 0 and standard deviation 1."
+    text = "z: (estimate - truth) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
 
@@ -276,7 +276,7 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Seq
     ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
-        Listing("Definitions of the statistics", "\n".join(means)),
+        CodeBlock("Definitions of the statistics", "\n".join(means)),
         *table_block("Convergence of the trials", ended, note=note, marked=failed),
     ]
 

@@ -27,13 +27,13 @@ from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
+    BulletList,
     Fact,
-    Grid,
     Note,
-    Notes,
     Picture,
     ReportContext,
     Section,
+    TableBlock,
     mood,
     table_block,
     table_of,
@@ -59,14 +59,14 @@ INJECTED = Table(
     "injected effects of a simulated recording beside the findings",
     texts(quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"),
 )
-MOST_MARKED = 12
+MAX_MARKED = 12
 """Largest number of targets that are marked in one picture."""
-LEAST_UM = 0.1
+MIN_ERROR_UM = 0.1
 """Threshold [um] below which the error that an undetectable effect causes in targets is negligible."""
-MOST_INSPECTIONS = 2
+MAX_INSPECTIONS = 2
 """Largest number of actions besides the use of the coordinates."""
-MOST_STEPS = 3
-"""Smallest number of points that are drawn as a curve."""
+MAX_STEPS = 3
+"""Number of points up to which a response is drawn as steps and not as a curve."""
 
 
 def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
@@ -126,7 +126,7 @@ def _actions(content: Diagnosis) -> list[str]:
     separate = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     inspect = [_inspection(finding) for finding in content.findings]
     use = "Use the coordinates in targets.csv, which account for the findings."
-    return [*separate[:1], *dict.fromkeys(inspect[: MOST_INSPECTIONS - len(separate[:1])]), use]
+    return [*separate[:1], *dict.fromkeys(inspect[: MAX_INSPECTIONS - len(separate[:1])]), use]
 
 
 def _inspection(finding: Finding) -> str:
@@ -198,7 +198,7 @@ def _finding(
     drawn = finding_drawing(finding, *residuals)
     if drawn is not None:
         text = "Residuals without the finding (left) and with the finding in the model (right)."
-        if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
+        if finding.curve is not None and len(finding.curve.at) >= MAX_STEPS:
             text = f"Estimated change of the {finding.carrier} over {finding.curve.covariate}."
         blocks.append(Picture(f"Effect of finding {number_}", drawn, text))
     blocks += _whereabouts(finding, number_, pair)
@@ -206,7 +206,7 @@ def _finding(
     sizes = [p.model_copy(update={"name": parameter_words(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place(finding.where)}",
-        "no network fits the readings without it"
+        "without it, no network fits the readings"
         if evidence.chi2_drop >= LARGEST_GAIN
         else f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
@@ -214,16 +214,16 @@ def _finding(
         *(f"alternative: {effect_words(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
     ]
     blocks += table_of(f"Finding {number_} in figures", sizes, "name=parameter", "value+-sigma", "unit")
-    return [*blocks, Notes(f"Evidence of finding {number_}", lines)]
+    return [*blocks, BulletList(f"Evidence of finding {number_}", lines)]
 
 
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
     """Figure of a finding: its response over its regressor if it has a curve, else residuals without and with it.
 
-    None for mistakes such as gross errors and exchanged names, which are removed from both.
+    It is None for blunders such as gross errors and exchanged names, which are removed from both residuals.
     """
     curve = finding.curve
-    if curve is not None and len(curve.at) >= MOST_STEPS:
+    if curve is not None and len(curve.at) >= MAX_STEPS:
         return lambda: figures.residuals.driver_curve(curve, finding.carrier, before)
     is_mistake = finding.evidence.p_value is None
     if before is None or after is None or is_mistake or np.array_equal(before.residual, after.residual):
@@ -243,7 +243,7 @@ def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Bloc
 
     stations, targets = finding.where.stations, finding.where.targets
     centre = {p.name.removeprefix("centre-"): p for p in finding.parameters if p.name in ("centre-x", "centre-y")}
-    if pair is None or not (targets or centre) or len(targets) > MOST_MARKED:
+    if pair is None or not (targets or centre) or len(targets) > MAX_MARKED:
         return []
     swapped = _swapped(finding)
     marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
@@ -275,18 +275,18 @@ def _place_of(effect: Any) -> str:
     return listing([*effect.stations, *effect.targets]) or "everywhere"
 
 
-def _fit(content: Diagnosis) -> list[Grid]:
+def _fit(content: Diagnosis) -> list[TableBlock]:
     note = (
-        "Held-out error: 5-fold cross-validated prediction error over the stated noise (or the estimated noise, if "
-        "larger); 1 is as good as the noise allows."
+        "Held-out error: 5-fold cross-validated prediction error over the declared noise (or the estimated noise, if "
+        "larger); 1 is the limit set by the noise."
     )
     return table_block("Fit before and after", content.table("fit"), note=note)
 
 
-def _hidden(content: Diagnosis) -> list[Grid]:
+def _hidden(content: Diagnosis) -> list[TableBlock]:
     """Table of undetectable effects that cause relevant errors, the largest first."""
     relevant = [
-        u for u in content.undetectable if u.undetected_target_error_um and u.undetected_target_error_um >= LEAST_UM
+        u for u in content.undetectable if u.undetected_target_error_um and u.undetected_target_error_um >= MIN_ERROR_UM
     ]
     worst = sorted(relevant, key=lambda u: -(u.undetected_target_error_um or 0.0))
     named = [u.model_copy(update={"effect": title_of(u.effect)}) for u in worst]
@@ -297,7 +297,7 @@ def _hidden(content: Diagnosis) -> list[Grid]:
     return table_block("Undetectable in this recording", table, note=note)
 
 
-def _detectability(content: Diagnosis) -> list[Grid]:
+def _detectability(content: Diagnosis) -> list[TableBlock]:
     """Table of the smallest detectable sizes of effects."""
     note = (
         "Size at which about 80 % of the recordings of this network give a mismatch, for a median place; naming may "

@@ -22,15 +22,15 @@ from ltsim.recordings import Recording, read
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
+    CodeBlock,
     Detail,
     Fact,
-    Grid,
-    Listing,
     Note,
     Picture,
     ReportContext,
     Scene,
     Section,
+    TableBlock,
     mood,
     table_block,
     table_of,
@@ -90,7 +90,7 @@ def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
 
 def over_covariates(after: Residuals) -> list[Block]:
     """Figure of residuals over covariates."""
-    text = "Lines: running means with twice their standard error; they stay at zero if the model holds."
+    text = "Lines: running means with twice their standard error; they stay at zero if the model is correct."
     title = "Residuals over covariates"
     shared = set(USUAL) & set(after.covariates)
     return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if shared else []
@@ -102,7 +102,7 @@ def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list
         return []
     workshop = shown()
     text = (
-        "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
+        "Seen from above. Do not place a reflector on the floor inside a shadow circle: the elevation limit of the "
         "station hides it"
     )
     drawn = "; ".join([text, *workshop.notes]) + "."
@@ -125,19 +125,19 @@ def scene(workshop: PlacedWorkshop) -> Scene | Note:
     return Scene("The workshop in 3D", webp_uri(picture), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[Combination], *, note: str = "") -> list[Grid]:
+def undetermined(title: str, entries: Sequence[Combination], *, note: str = "") -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
     rows = [[entry.terms, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in entries]
     return table_block(title, UNDETERMINED.filled(rows), note=note)
 
 
-def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Grid]:
+def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single ones."""
     note = "The combination is determined far better than its single parameters."
     return table_of(title, entries, "terms=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
-def target_table(file: Path | None, *, note: str) -> list[Grid]:
+def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
     """Table of the coordinates in a `targets.csv` with expanded uncertainties; empty list without a file."""
     if file is None:
         return []
@@ -192,10 +192,12 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
         Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
-    blocks = workshop_blocks(lambda: from_adjustment(full, plain=plain), detail)
+    workshop = from_adjustment(full, plain=plain) if detail != "none" else None
     if not brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
         last = [*residual_blocks(after, before), *last]
+    del plain, full  # whose designs take more memory than all pictures
+    blocks = workshop_blocks(lambda: workshop, detail) if workshop is not None else []
     answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
     return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
 
@@ -209,7 +211,7 @@ def _contents(recording: Recording) -> str:
     )
 
 
-def _table(recording: Recording) -> list[Grid]:
+def _table(recording: Recording) -> list[TableBlock]:
     rows = []
     for s, name in enumerate(recording.stations):
         here = recording.station == s
@@ -223,4 +225,4 @@ def _settings(folder: Path) -> Block:
     file = folder / "setup.toml"
     if not file.is_file():
         return Note("Set-up", "There is no setup.toml; the default noise and priors were used.")
-    return Listing("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))
+    return CodeBlock("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))

@@ -19,9 +19,9 @@ from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
+    BulletList,
     Fact,
     Note,
-    Notes,
     Picture,
     ReportContext,
     Section,
@@ -41,7 +41,7 @@ UNITED = (
     "(JCGM 101, clause 8)."
 )
 HIDDEN = "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
-MOST_BARS, MOST_TESTS = 40, 200
+MAX_BARS, MAX_TESTS = 40, 200
 AGAINST = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
     ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
@@ -97,9 +97,9 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
-    caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
+    caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1."
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MOST_TESTS]
+    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MAX_TESTS]
     blocks: list[Block] = [
         Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
         *table_block("Groups", content.table("groups"), note=note),
@@ -141,11 +141,11 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
-    caption = "Contributions to the variance of each result; the widest bar is the best to improve."
+    caption = "Contributions to the variance of each result; improve the source with the widest bar."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    blocks += table_block("Errors that no reading shows", content.table("hidden"), note=HIDDEN)
-    blocks += [Notes("Warnings", content.warnings)] if content.warnings else []
-    fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
+    blocks += table_block("Undetectable errors", content.table("hidden"), note=HIDDEN)
+    blocks += [BulletList("Warnings", content.warnings)] if content.warnings else []
+    fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
@@ -165,7 +165,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
 
 def budget_of(content: Uncertainty) -> Figure:
     """Figure of the budgets of the first results."""
-    shown = content.results[:MOST_BARS]
+    shown = content.results[:MAX_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
     shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)

@@ -10,10 +10,10 @@ from ltsim.planning.result import Plan
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
+    BulletList,
+    CodeBlock,
     Fact,
-    Listing,
     Note,
-    Notes,
     Picture,
     ReportContext,
     Section,
@@ -40,9 +40,9 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     drawn, changed = _pictures(content, scenario, turn=context.detail == "turn")
     blocks += drawn
     if content.blocked_sights:
-        blocks.append(Notes("Blocked lines of sight", content.blocked_sights))
+        blocks.append(BulletList("Blocked lines of sight", content.blocked_sights))
     if content.reasons:
-        blocks.append(Notes("Reasons for this plan", content.reasons))
+        blocks.append(BulletList("Reasons for this plan", content.reasons))
     blocks += _tolerances(content) + _changes(content) + changed
     blocks += _curve(content) + _parameters(content)
     blocks += table_block("Expected by the paper's criteria", content.table("expected"))
@@ -52,8 +52,8 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
     points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
-        blocks.append(Notes("Bodies in the hall", content.bodies))
-    blocks.append(Listing("Settings of the plan", content.settings.model_dump_json(indent=1)))
+        blocks.append(BulletList("Bodies in the hall", content.bodies))
+    blocks.append(CodeBlock("Settings of the plan", content.settings.model_dump_json(indent=1)))
     good = mood(not content.broken_rules and content.reached is not False)
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
@@ -71,7 +71,7 @@ def _tolerances(content: Plan) -> list[Block]:
     level = content.settings.goal.level_pct
     over = frozenset(i for i, is_met in enumerate(asked.column("met")) if not is_met)
     blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
-    return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
+    return [*blocks, *table_block("Loss of a station or a sight", content.table("losses"))]
 
 
 def _changes(content: Plan) -> list[Block]:
@@ -150,8 +150,8 @@ def _effects(content: Plan) -> list[Block]:
     """Tables of the smallest detectable effects, effects that are hard to separate, and undetectable effects."""
     note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
     blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
-    note = "Share of the signature of the first effect that the second one explains."
+    note = "Fraction of the signature of the first effect that the second one explains."
     blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.silent:
-        blocks.append(Notes("Undetectable effects", content.silent))
+        blocks.append(BulletList("Undetectable effects", content.silent))
     return blocks

@@ -1,4 +1,4 @@
-"""The scenarios that come with ltsim: their names and files, without loading what reads them."""
+"""Built-in scenarios: their names and files, without importing their reader."""
 
 import difflib
 from importlib.resources import files
@@ -15,9 +15,9 @@ def builtin_names() -> tuple[str, ...]:
 
 
 def builtin_path(name: str) -> Path:
-    """The file of a built-in scenario.
+    """File of a built-in scenario.
 
-    Raises SetupError when there is none of this name; the message names the closest ones.
+    Raises SetupError, with the most similar names, for an unknown name.
     """
     names = builtin_names()
     if name not in names:
@@ -28,5 +28,5 @@ def builtin_path(name: str) -> Path:
 
 
 def builtin_text(name: str) -> str:
-    """The commented file of a built-in scenario, to print and edit; raises SetupError."""
+    """Commented file of a built-in scenario, as a template; raises SetupError."""
     return builtin_path(name).read_text(encoding="utf-8")

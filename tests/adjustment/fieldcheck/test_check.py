@@ -65,7 +65,7 @@ def test_a_tracker_within_its_guarantee_is_a_go() -> None:
     faces = found.arrays.setups[0].faces
     assert faces is not None
     assert np.sqrt(np.mean((faces.pairs.half / faces.noise) ** 2)) > 3
-    assert found.sentence == "go: 2 set-ups within noise and guarantee"
+    assert found.sentence == "go: 2 set-ups within noise and specification"
     assert {item.kind for item in found.items} >= {"two-face", "gross", "bump", "drift", "closure", "network"}
 
 
@@ -151,7 +151,7 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     found = lt.adjust(recording, robust=True)
     assert found.outliers == ()
     assert found.verdict is not None
-    moved_by = re.match(r"Station S1 moves while it measures, by ([\d.]+) \+- ", found.verdict.sentence)
+    moved_by = re.match(r"Station S1 moves during its measurement, by ([\d.]+) \+- ", found.verdict.sentence)
     assert moved_by is not None
     assert float(moved_by[1]) == pytest.approx(2000.0, rel=0.05)
 
@@ -195,7 +195,7 @@ def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
     closure = next(item for item in found.items if item.kind == "closure")
     assert recording.targets[5] in closure.targets
     assert recording.targets[0] not in closure.targets
-    assert "it belongs to the targets" in found.sentence
+    assert "the targets cause it" in found.sentence
 
 
 def test_what_was_not_measured_again_has_no_value() -> None:
@@ -241,7 +241,7 @@ def test_beyond_the_guarantee_and_beyond_a_limit() -> None:
     readings[recording.face == 2, 1] += 60 * ARCSECOND / np.cos(readings[recording.face == 2, 2])
     found = check(recording.with_readings(readings))
     assert kinds(found) == {("S1", "two-face")}
-    assert "the two faces differ beyond noise and guarantee at 28 of 28 pairs" in found.sentence
+    assert "the two faces differ beyond noise and specification at 28 of 28 pairs" in found.sentence
     assert check(recording, mpe=(50, 10)).passed
     tight = check(recording, mpe=(1, 0.1))
     assert ("S1", "two-face") in kinds(tight)
@@ -255,7 +255,7 @@ def test_scatter_is_judged_on_both_sides() -> None:
     loud = recording.setup.instrument.model_copy(update={"noise": noise.model_copy(update=stated)})
     found = check(recording.replace(setup=recording.setup.model_copy(update={"instrument": loud})))
     assert found.passed
-    assert any("less than stated" in item.sentence for item in found.items)
+    assert any("less than declared" in item.sentence for item in found.items)
     shaken = recording.readings + stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.sigma()
     assert ("S1", "closure") in kinds(check(recording.with_readings(shaken)))
 
@@ -273,7 +273,7 @@ def test_a_level_that_is_off_is_told_by_the_others() -> None:
     found = check(leaning)
     assert ("S2", "level") in kinds(found)
     said = next(item.sentence for item in found.items if item.kind == "level" and item.station == "S2")
-    assert said.startswith("S2: its level is off the vertical of the others (29.9 +- 1.")
+    assert said.startswith("S2: its level deviates from the vertical of the others (29.9 +- 1.")
 
 
 def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
@@ -288,8 +288,7 @@ def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
     mixed = {"instruments": {"M": stated}, "stations": {"S2": Station(instrument="M")}}
     items = check(both.replace(setup=both.setup.model_copy(update=mixed))).items
     assert any(
-        "the stations are not compared: stations S2 are of a tracker with a steering mirror" in i.sentence
-        for i in items
+        "the stations are not compared: stations S2 have a tracker with a steering mirror" in i.sentence for i in items
     )
 
 
@@ -366,11 +365,11 @@ def test_a_growing_recording_is_followed(dialect: str, capsys: pytest.CaptureFix
     follow(Terminal(), lambda: check(ReadingOptions().of(place, growing=True)), steps())
     told = capsys.readouterr()
     assert told.err.count("waiting: no station measured a target twice") == 1
-    assert "cut" not in told.err and "never measured" not in told.err
+    assert "incomplete" not in told.err and "never measured" not in told.err
     assert told.out.count("moved between 300.0 s and 310.0 s") == 1
     assert "40 pointings: NO-GO S1 moved" in told.out
     file.write_text(text[:-20])
-    with pytest.raises(RecordError, match="cut"):
+    with pytest.raises(RecordError, match="incomplete"):
         read(place)
 
 

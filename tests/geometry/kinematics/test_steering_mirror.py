@@ -135,5 +135,5 @@ def test_two_designs_in_one_network_are_not_mixed_silently() -> None:
     stations = {name: recording.station_setup(name) for name in recording.stations}
     stations[recording.stations[0]] = stations[recording.stations[0]].model_copy(update={"instrument": "M"})
     setup = recording.setup.model_copy(update={"instruments": {"M": mirror}, "instrument": head, "stations": stations})
-    with pytest.raises(NetworkError, match="calibrate them apart"):
+    with pytest.raises(NetworkError, match="calibrate them separately"):
         declared_construction(recording.replace(setup=setup))

@@ -12,7 +12,7 @@ from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
 from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity, vapour_pressure
 from ltsim.physics.effects.heat_plume import HeatPlume
-from ltsim.physics.effects.rays import bending, bent
+from ltsim.physics.effects.rays import bending, integrated_change
 from ltsim.physics.effects.turbulence import Turbulence
 from tests.physics.effects.scenes import corrections, left_over, lengths, scene
 
@@ -92,7 +92,7 @@ def test_horizontal_gradient_bends_sideways() -> None:
     beta, slope = bending(), 0.05
 
     def change_by(slope: float) -> Floats:
-        return bent(
+        return integrated_change(
             SCENE, lambda points: (slope * (points[:, 0] - 3.0), np.broadcast_to([slope, 0.0, 0.0], points.shape))
         )
 
@@ -163,7 +163,7 @@ def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLaye
         warm, gradient = kelvin(points)
         return step[0] * warm, step[0] * gradient
 
-    coarse, fine = bent(SCENE, field), bent(SCENE, field, steps=256)
+    coarse, fine = integrated_change(SCENE, field), integrated_change(SCENE, field, steps=256)
     mask = effect.mask(SCENE)[:, None]
     linear = effect.design(SCENE) @ step
     size = np.abs(linear).max(axis=0)

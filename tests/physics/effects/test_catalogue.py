@@ -70,11 +70,11 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        (Path, "no class derived from lt.Effect"),
+        (Path, "not a class derived from lt.Effect"),
         (made("backlash"), "ltsim has an effect 'backlash' already"),
         (made("Cold"), "lower-case words"),
         (made("cold", parameters=()), "lacks a stage or parameters"),
-        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is none of um, mm"),
+        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is not in um, mm"),
         (made("cold", CARD.replace("Valid: in winter.\n", "")), "a card has the parts Size, Like"),
         (type("Cold", (Effect,), {"name": "cold"}), "its class lacks design"),
     ],
@@ -86,7 +86,7 @@ def test_an_effect_that_does_not_fit_is_refused_in_a_sentence(strange: ModuleTyp
     ) as told:
         list(found)
     assert says in str(told.value)
-    assert str(told.value).endswith("; mend or uninstall that package")
+    assert str(told.value).endswith("; repair or uninstall that package")
 
 
 def test_two_packages_with_one_name_are_told_apart(strange: ModuleType) -> None:

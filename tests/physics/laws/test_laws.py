@@ -14,8 +14,8 @@ from ltsim.core.randomness import stream
 from ltsim.physics.effects.motions import station_design
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.places import LEAST_GROUP, clusters
-from ltsim.physics.laws.regressor_library import FOLLOWED, group_drivers, is_admissible, regressors_of
+from ltsim.physics.laws.places import MIN_GROUP, clusters
+from ltsim.physics.laws.regressor_library import READING_COVARIATES, group_regressors, is_admissible, regressors_of
 from ltsim.physics.laws.regressors import CONSTANT, Regressor, amounts, simple, smooth
 from ltsim.physics.laws.responses import RESPONSES, response_designs
 from ltsim.physics.laws.sizes import sizes_of
@@ -45,7 +45,7 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         "face",
         "target",
     }
-    kinds = {**regressors_of(sightings), **{f"group {k}": d for k, d in group_drivers(sightings).items()}}
+    kinds = {**regressors_of(sightings), **{f"group {k}": d for k, d in group_regressors(sightings).items()}}
     drivers = [d for kind, some in kinds.items() for d in some[:: 50 if kind == "wave" else 3 if "room" in kind else 1]]
     for driver in drivers:
         columns = driver.columns(sightings)
@@ -75,7 +75,7 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     np.testing.assert_allclose(quantities["work-press_load_kn"][rows], done)
     assert simple("work-press_load_kn", "power").covariate_labels == ("press_load_kn",)
     assert simple("work-azimuth", "power").covariate_labels == ("approach",)
-    assert set(FOLLOWED) - {"station", "last-target"} <= set(quantities)
+    assert set(READING_COVARIATES) - {"station", "last-target"} <= set(quantities)
 
 
 def test_amounts_are_those_of_the_target_measured_before(sightings):
@@ -175,7 +175,7 @@ def test_targets_on_one_surface_belong_together():
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
     found = clusters(SimpleNamespace(points=points, nest_normal=look))
     assert {tuple(range(6)), tuple(range(6, 12))} <= found
-    assert all(LEAST_GROUP <= len(group) <= 12 - LEAST_GROUP for group in found)
+    assert all(MIN_GROUP <= len(group) <= 12 - MIN_GROUP for group in found)
 
 
 def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):

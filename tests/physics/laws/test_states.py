@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressor_library import is_near_several, regressors_of
+from ltsim.physics.laws.regressor_library import is_near_several, regressors_of, temporary_regions
 from ltsim.physics.laws.regressors import latch, simple, switch
 from ltsim.physics.laws.responses import RESPONSES
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS, INPUTS, latches_of, state, states_of
@@ -92,6 +92,22 @@ def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
     on = ((sightings.time > start) & (sightings.time <= end)) | (sightings.time > again)
     np.testing.assert_array_equal(column > 0.0, on)
     assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
+
+
+def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_it_then(sightings: Sightings) -> None:
+    drivers = list(temporary_regions(sightings))
+    assert drivers
+    for driver in drivers[::5]:
+        region, gate = driver.factors
+        column = driver.columns(sightings)[:, 0]
+        on = gate.columns(sightings)[:, 0] > 0.0
+        np.testing.assert_array_equal(column[~on], 0.0)
+        path = region.columns(sightings)[:, 0][on]
+        np.testing.assert_allclose(column[on] * np.linalg.norm(path), path * np.linalg.norm(column), rtol=1e-9)
+        assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
+        law = Law(carrier=RESPONSES["distance"][0], driver=driver)
+        assert law.at_all_times().driver == region
+        assert all(other.driver.factors[1] == gate for other in law.finer(sightings))
 
 
 def test_edges_of_a_switch_move_one_at_a_time(sightings: Sightings) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import HYSTERESIS, SIMPLE
-from ltsim.physics.laws.regressor_library import FOLLOWED, regressors_of
+from ltsim.physics.laws.columns import HYSTERESIS, SIMPLE_FUNCTIONS
+from ltsim.physics.laws.regressor_library import READING_COVARIATES, regressors_of
 from ltsim.physics.laws.regressors import (
     CONSTANT,
     LEVER,
@@ -28,7 +28,7 @@ from ltsim.physics.laws.regressors import (
     switch,
 )
 from ltsim.physics.laws.states import EVERY, FADES, FORGETS
-from ltsim.physics.laws.words import EXAMPLES, OWNERS, PHRASE_OF, describe, read_driver, read_law
+from ltsim.physics.laws.words import EXAMPLES, OWNERS, PHRASE_OF, describe, read_law, read_regressor
 from ltsim.recordings import Recording
 from ltsim.scene.regions import SHAPES, Region
 from tests.networks import network
@@ -82,16 +82,21 @@ def every() -> list[Regressor]:
     found += [
         switch([simple("time", "step", edge) for edge in times]) for times in ((300.0, 900.0), (300.0, 900.0, 1500.0))
     ]
+    column, start = passage(Region("xy", (1.0, 2.0), 0.3)), simple("time", "step", -np.inf)
+    found += [
+        Regressor("product", factors=(column, switch([start, simple("time", "step", 600.0)]))),
+        Regressor("product", factors=(column, switch([simple("time", "step", edge) for edge in (300.0, 900.0)]))),
+    ]
     found.append(Regressor("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
     return [*found, Regressor("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 
 
 @pytest.mark.parametrize("clock", [True, False])
 def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -> None:
-    assert {*SIMPLE, HYSTERESIS} <= {driver.function for driver in every()}
+    assert {*SIMPLE_FUNCTIONS, HYSTERESIS} <= {driver.function for driver in every()}
     for driver in every():
         words = describe(driver, clock=clock)
-        read = read_driver(words, recording.replace(has_clock=clock))
+        read = read_regressor(words, recording.replace(has_clock=clock))
         assert describe(read, clock=clock) == words
         assert read.released == pytest.approx(driver.released, rel=6e-3)
         close = replace(read, constant=driver.constant, released=driver.released, factors=driver.factors)
@@ -101,12 +106,12 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
 
 def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) -> None:
     sightings = adjust(recording).sightings
-    assert set(FOLLOWED) <= set(sightings.quantities)
+    assert set(READING_COVARIATES) <= set(sightings.quantities)
     tried = regressors_of(sightings)
     for driver in [
         d for kind, some in tried.items() for d in some[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")
     ]:
-        read = read_driver(describe(driver), recording)
+        read = read_regressor(describe(driver), recording)
         assert describe(read) == describe(driver)
         assert read.size == driver.size
 
@@ -122,7 +127,7 @@ def test_another_amount_for_each_target_goes_with_targets(recording: Recording) 
     law = read_law("height of targets in their nests", "the target, another at each", recording, targets=("T01", "T02"))
     assert len(law.parameters) == 2
     for words in ("the target, another at each", "time times the target, another at each"):
-        with pytest.raises(ModelError, match=r"goes with some targets, .*:TARGET,TARGET"):
+        with pytest.raises(ModelError, match=r"applies to targets, .*:TARGET,TARGET"):
             read_law("place of targets", words, recording)
 
 
@@ -131,13 +136,13 @@ def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
     assert law.each and law.stations == recording.stations
     assert len(law.parameters) == len(recording.stations)
     assert not read_law("elevation", "exp(-station-time / 8 min)", recording).each
-    with pytest.raises(ModelError, match="goes with all set-ups, not with S2"):
+    with pytest.raises(ModelError, match="applies to all set-ups, not to S2"):
         read_law("elevation", "time, in its own way at each set-up", recording, stations=("S2",))
 
 
 def test_examples_are_read(recording: Recording) -> None:
     for words in EXAMPLES:
-        assert describe(read_driver(words, recording)) == words
+        assert describe(read_regressor(words, recording)) == words
 
 
 @pytest.mark.parametrize(
@@ -149,9 +154,9 @@ def test_examples_are_read(recording: Recording) -> None:
         ("exp(-time / 0 min)", "above zero"),
         ("step(hall_temperature_c above 20 s)", "hall_temperature_c alone"),
         ("a wave in time, 3 periods a turn", "expected words such as"),
-        ("face times pressure", "'pressure' is nothing"),
+        ("face times pressure", "'pressure' is not a regressor"),
     ],
 )
 def test_what_is_not_understood_is_answered_with_what_is(recording: Recording, words: str, said: str) -> None:
     with pytest.raises(ModelError, match=said):
-        read_driver(words, recording)
+        read_regressor(words, recording)

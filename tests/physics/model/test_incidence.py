@@ -9,7 +9,7 @@ import ltsim as lt
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES, SmrIncidence
 from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.incidence import conditioned, incidence_errors
+from ltsim.physics.model.incidence import incidence_errors, prior_given_bench_test
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import BenchTest
@@ -55,7 +55,7 @@ def test_each_reflector_has_an_error_of_its_own() -> None:
 
 
 def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_see() -> None:
-    mean, root = conditioned(bench(direction_deg=20.0))
+    mean, root = prior_given_bench_test(bench(direction_deg=20.0))
     truth = SmrIncidence(table=PAPER_TABLE, direction=20.0 * DEGREE).values_of_table
     angles = np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
     seen = SmrIncidence.terms(*angles)
@@ -68,7 +68,7 @@ def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_s
 def test_a_bench_test_from_any_zero_conditions_the_prior_exactly() -> None:
     """Mean and covariance are those of Bayes' rule written out, without roots."""
     test = bench(1.5)
-    mean, root = conditioned(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
+    mean, root = prior_given_bench_test(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
     terms = -SmrIncidence.terms(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
     rows, gap = np.delete(terms - terms[4], 4, axis=0), np.delete(TABLE - TABLE[4], 4) * MICROMETRE
     prior = np.diag(SmrIncidence().spread ** 2)

@@ -18,7 +18,7 @@ import pytest
 
 from ltsim.reports.board import server
 from ltsim.reports.board.board import Board
-from ltsim.reports.board.server import MOST_BYTES, MOST_CONNECTIONS, BoardAccess
+from ltsim.reports.board.server import MAX_BYTES, MAX_CONNECTIONS, BoardAccess
 from tests.planning.test_hall import HALL, points_csv
 from tests.reports.browser import FLAGS, find_browser
 
@@ -224,7 +224,7 @@ def test_a_body_that_makes_no_sense_is_a_problem_and_the_board_goes_on(kind: str
         "Content-Length: 1_0",
         "Content-Length: \u0663",
         "Content-Length: 1e3",
-        f"Content-Length: {MOST_BYTES + 1}",
+        f"Content-Length: {MAX_BYTES + 1}",
         f"Content-Length: {'9' * 5000}",
         "Content-Length: 2\r\nContent-Length: 3",
         "Transfer-Encoding: chunked",
@@ -266,7 +266,7 @@ def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
                 break
         else:
             raise AssertionError("the board waits for a slow header for ever")
-    silent = [socket.create_connection(("127.0.0.1", board.port)) for _ in range(2 * MOST_CONNECTIONS)]
+    silent = [socket.create_connection(("127.0.0.1", board.port)) for _ in range(2 * MAX_CONNECTIONS)]
     for connection in silent:  # closed by the board: at once beyond those that it serves, the others after a while
         connection.settimeout(30)
         with contextlib.suppress(ConnectionError):

@@ -1,0 +1,86 @@
+"""Variance functions outside the catalogue: growing with a covariate, in bands of it, at targets, in regions."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+
+from ltsim.diagnosis.noise_groups import SCATTERING
+from ltsim.physics.laws.places import Place, clusters
+from ltsim.physics.laws.regressor_library import additional_columns
+from ltsim.physics.laws.variance import REPEATS, VarianceFunction, size_or_value
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.regions import regions_of
+from ltsim.scene.sightings import Sightings
+
+EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0, 75.0)
+"""Added variances relative to the declared one: of all readings, at the maximum of a pattern, of targets."""
+MOST_TARGETS = 60
+"""Largest number of targets of a network in which single targets and clusters of targets are hypotheses."""
+MAX_BANDED = 2000
+"""Largest number of pointings with which noise in bands of a covariate is a hypothesis (cost)."""
+TIME_SPANS = 12
+"""Number of parts of the work between whose ends the noise may be larger."""
+SECTORS = (np.pi / 4.0, np.pi / 2.0)
+"""Widths [rad] of the sectors of directions in which the noise may be larger."""
+THRESHOLDS = (0.25, 0.5, 0.75)
+"""Thresholds of other covariates beyond which the noise may be larger, as quantiles."""
+MIN_SECTOR_SHARE = 0.05
+"""Smallest fraction of the pointings inside a sector, and outside it."""
+NOISY_REGIONS = ("xyz", "xy", "x", "y")
+"""Shapes of the regions of the hall whose lines of sight may have more noise."""
+
+
+def variance_functions(
+    sightings: Sightings, trackers: Sequence[Place]
+) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
+    """Variance functions outside the catalogue: family, function, sizes.
+
+    The one of an observable is the noise level.
+    """
+    regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
+    regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
+    places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
+    for at, acts, name, falling in product(
+        places, SCATTERING[:-1], [*regressors, *additional_columns(sightings)], (False, True)
+    ):
+        pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
+        yield " and ".join(acts), pattern, GROWING
+    if len(sightings) <= MAX_BANDED:
+        for at, acts, (name, band) in product(places, SCATTERING, _bands(sightings)):
+            family = "time span" if name == "time" else "band"
+            yield family, replace(at, observables=acts, covariates=(name,), band=band), AT_TARGETS
+    names = sightings.target_names
+    groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
+    for acts in SCATTERING:
+        for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
+            yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
+        for group in groups:
+            yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
+    for region, acts in product(regions_of(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)):
+        yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
+
+
+def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Covariates, and two of their values between which the noise may be larger."""
+    time = sightings.quantities["time"]
+    edges = np.unique(np.quantile(time, np.linspace(0.0, 1.0, TIME_SPANS + 1)))
+    for low, high in combinations(edges.tolist(), 2):
+        if high - low < np.ptp(time):
+            yield "time", (low, high)
+    for name, width in product(("azimuth", "bearing"), SECTORS):
+        for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
+            inside = np.remainder(sightings.quantities[name] - start, 2.0 * np.pi) <= width
+            if MIN_SECTOR_SHARE <= inside.mean() <= 1.0 - MIN_SECTOR_SHARE:
+                yield name, (start, start + width)
+    names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
+    names += additional_columns(sightings)
+    names += ["incidence"] if np.isfinite(sightings.incidence).any() else []
+    for name in names:
+        x = size_or_value(sightings, name)
+        low, high = float(x.min()), float(x.max())
+        for threshold in np.unique(np.quantile(x, THRESHOLDS)).tolist():
+            if low < threshold < high:
+                yield name, (low, threshold)
+                yield name, (threshold, high)
