@@ -121,11 +121,14 @@ class Selection:
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """Motions of stations beyond doubt, for an adjustment that is not made with all selected hypotheses."""
+        """Motions beyond doubt, the surest of each station, for an adjustment without the other hypotheses."""
         sure = [c.hypothesis.change for c in self.choices if c.gain > BEYOND_DOUBT]
-        effects = [change.effect for change in sure if isinstance(change, Shift)]
-        sudden = (SuddenMotion(e.stations, time=e.time) if isinstance(e, StationBump) else e for e in effects)
-        return tuple(motion for motion in sudden if isinstance(motion, Motion))
+        motions: dict[tuple[str, ...], Motion] = {}
+        for effect in (change.effect for change in sure if isinstance(change, Shift)):
+            motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
+            if isinstance(motion, Motion):
+                motions.setdefault(motion.stations, motion)
+        return tuple(motions.values())
 
     @property
     def explains(self) -> bool:
