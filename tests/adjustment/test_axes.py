@@ -103,7 +103,7 @@ def test_what_is_not_this_network_is_refused(recording: Recording, change: objec
 
 def test_wrong_frames(recording: Recording) -> None:
     goal = hall(recording, ["T01", "T06", "T12"])
-    with pytest.raises(RecordError, match="holds 2 of the recording's targets"):
+    with pytest.raises(RecordError, match="contains 2 of the recording's targets"):
         in_axes_of_points(recording, {k: goal[k] for k in ("T01", "T06")}, "hall.csv")
     with pytest.raises(RecordError, match="'T99', which was never measured"):
         in_axes_of_three(recording, "T01", "T99", "T20")

@@ -344,7 +344,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
         (
             "<height-differences>",
             '<height-differences><vec from="A"/>',
-            "<vec> stands in <height-differences>, expected <dh>",
+            "<vec> is in <height-differences>, expected <dh>",
         ),
         ("</height-differences>", '<cov-mat dim="2" band="0">1 1</cov-mat></height-differences>', "does not match its"),
         (

@@ -35,7 +35,7 @@ def test_elevations_alone_are_refused(verb: object, gauge: bool, recording: Reco
         recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
     readings = recording.readings.copy()
     readings[:, :2] = np.nan
-    with pytest.raises(NetworkError, match="elevations alone"):
+    with pytest.raises(NetworkError, match="only elevations"):
         verb(recording.with_readings(readings))  # type: ignore[operator]
 
 
