@@ -25,8 +25,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 CLEARLY = 10.0
-"""Ratio of the median misses of stated coordinates and of their mirror image from which they are mirrored: right ones
-miss by the noise, a mirror image by the size of the network."""
+"""Ratio of the median misclosure of declared coordinates to that of their mirror image from which they are
+mirrored: correct ones have misclosures of the size of the noise, mirrored ones of the size of the network.
+"""
 SHAPE = 0.05
 """Largest misclosure of declared coordinates, relative to the size of the network, at which they can belong to it (as
 nominal coordinates of a drawing).
@@ -43,7 +44,7 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_free_frame(recording, source)
     if len(common) < 3:
-        message = f"holds {len(common)} of the recording's targets, expected at least three that are not on one line"
+        message = f"contains {len(common)} of the recording's targets, expected at least three that are not on one line"
         raise RecordError(message, file=source)
     (_, _, reached), _ = initial_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
@@ -116,7 +117,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
             continue
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
-            message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            message = f"has no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             raise RecordError(f"{message}; give coordinates without weight by --frame", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
@@ -126,7 +127,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
         targets[name] = targets.get(name, Target()).model_copy(update=update)
         count += 1
     if not count:
-        raise RecordError("names none of the recording's targets; the spelling must be the same", file=path)
+        raise RecordError("contains none of the recording's targets; the spelling must be the same", file=path)
     note = f"{count} control points of {path.name}, each with its standard deviation"
     setup = recording.setup.model_copy(update={"targets": targets})
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, note))

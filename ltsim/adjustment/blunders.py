@@ -30,7 +30,7 @@ CLOSE = 1e-3
 ASIDE = 0.002
 """Largest horizontal offset of a pointing, relative to its vertical offset, at which a wrong height is the cause."""
 MOST_ROWS = 6
-"""Rows that a sentence lists at most."""
+"""Largest number of rows in a sentence."""
 WRONG_SHAPE = 5e-3
 """Median misfit [m] between the points of two stations that neither tracker errors nor a single blunder cause."""
 
@@ -148,8 +148,8 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
         numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
         where = "above" if size > 0 else "below"
         sentence = (
-            f"From station {station} the pointing to {target} (row {numbers}) lands {abs(size) / MILLIMETRE:.1f} mm "
-            f"{where} it: a height of the target or the instrument that was not stated so."
+            f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
+            f"{where} the target: the height of the target or the instrument is wrong."
         )
         rows_ = at[members]
         finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)

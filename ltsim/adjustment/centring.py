@@ -22,9 +22,9 @@ from ltsim.solve.gauss_newton import solve
 
 DAY_COLUMN = "date"
 DAY = 86_400.0
-"""[s]"""
+"""Length [s] of a day."""
 MOST = 6
-"""Centring errors that are estimated at most: a network with more is measured again."""
+"""Largest number of estimated centring errors: a network with more has to be measured again."""
 MOVED = "target-moved"
 """Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 

@@ -23,7 +23,7 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE, unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
 PASSES = 5
-"""Steps of the free motion to the datum at most: each is linear in the rotation, and they converge quadratically."""
+"""Largest number of steps of the free motion to the datum: each is linear in the rotation; convergence is quadratic."""
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def _check_marks(recording: Recording) -> None:
         station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
         raise NetworkError(
             f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
-            "state its instrument height or take the row out"
+            "declare its instrument height or remove the row"
         )
 
 

@@ -22,7 +22,7 @@ LEAST_DAMPING = 1e-10
 directions.
 """
 ITERATIONS = 60
-"""Steps of a damped fit at most: a start from which it takes longer is not followed."""
+"""Largest number of steps of a damped fit; slower starts are abandoned."""
 SAME = 1e-3
 """Distance [m, rad] below which two solutions count as equal."""
 CLEARLY = 4.0
@@ -32,12 +32,12 @@ WORST = 300.0
 BEST = 150
 """Number of starts that are iterated: those with the best fit."""
 MOST_STARTS = 400
-"""Starts that are tried at most (cost)."""
+"""Largest number of starts (cost)."""
 ROUND = np.arange(8) * np.pi / 4
 GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for unmeasured coordinates of a point: range [m], azimuth, elevation [rad]."""
 LEAST_RANGES = 10
-"""Targets from which ranges alone give a network: differences to one of them determine nine coefficients of a frame."""
+"""Smallest number of targets for a network of ranges only: their differences determine nine coefficients of a frame."""
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function for residuals (b, m) at positions (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by the free

@@ -28,7 +28,7 @@ CONTRADICTION = 100.0
 HEALED = 0.1
 """Ratio of sigma0 without and with the known points below which the known points are the contradiction."""
 MOST_NAMED = 4
-"""Sentences of one kind that are listed at most."""
+"""Largest number of sentences of one kind."""
 LEAST_PLACES = 3
 """Smallest number of station positions on a plan from which a mirror image is recognised."""
 FAR = 0.01

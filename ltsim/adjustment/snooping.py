@@ -31,14 +31,15 @@ LARGEST_ERROR = 1e-3
 WORKSHOP = 10.0
 """[m] Range up to which `LARGEST_ERROR` holds; beyond it, errors of angles grow with the range."""
 FACTOR = 30.0
-"""Ratio of a miss to the robust standard deviation of all misses above which a pointing is a gross error: that of no
-noise."""
+"""Ratio of a misclosure to the robust standard deviation of all misclosures above which a pointing is a gross
+error and not noise.
+"""
 PASSES = 20
-"""Linear steps at most from approximate coordinates until no gross miss shrinks."""
+"""Largest number of linear steps from approximate coordinates until no gross misclosure decreases."""
 SETTLED = 0.9
 """Ratio of successive gross misclosures below which an iteration is not converged."""
 RELAXATIONS = 8
-"""Reweightings before snooping: its single steps correct what these leave."""
+"""Number of reweightings before snooping; the single steps of snooping correct the remaining outliers."""
 ROUNDS = 20
 """Largest number of solutions until the set of rejected readings is stable; readings that still alternate are
 borderline.

@@ -38,7 +38,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
     if not recording.measured[:, :2].any():
-        message = "the recording holds elevations alone: horizontal positions and ranges are undetermined; "
+        message = "the recording contains only elevations: horizontal positions and ranges are undetermined; "
         raise NetworkError(message + "measure azimuths or distances too")
     pairs, frame = Pairs.of(recording, flat_points(recording)), Frame.of(recording)
     grown = []
@@ -390,10 +390,10 @@ class NetworkInitialiser:
                 what = f"shares only {most} target{'s' * (most != 1)} with the network; at least three"
             raise NetworkError(
                 f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are "
-                f'missing), or rough coordinates of all; for a station over a target, set over = "TARGET"{loose}'
+                f'missing), or approximate coordinates of all; for a station over a target, set over = "TARGET"{loose}'
             )
         if not self._have.any():
             raise NetworkError(
-                f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and what was "
+                f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and "
                 "the lines of sight from different stations do not meet in one point"
             )

@@ -1,4 +1,4 @@
-"""Motions of stations while they measure, as effects that an adjustment estimates, and their sentences.
+"""Motions of stations during their measurement, as effects that an adjustment estimates, and sentences on them.
 
 A tripod that sinks, or that somebody touched, bends all that is measured from it; which station moved is decided in
 `identification`.

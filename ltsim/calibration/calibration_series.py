@@ -31,7 +31,7 @@ RESOLVED = 1e-12
 """Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
 variances."""
 ROUNDS, SETTLED = 2000, 1e-4
-"""Steps of expectation and maximisation at most (they converge linearly); change of log variances that ends them."""
+"""Largest number of expectation-maximisation steps (linear convergence); change of log variances that ends them."""
 
 
 class ChiSquareEntry(Entry):

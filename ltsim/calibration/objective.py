@@ -81,7 +81,7 @@ class DistanceProblem:
 
     def _check_size(self, count: int) -> None:
         if count * (self.prior_sigma.size + 8) > LARGEST:
-            raise NetworkError(f"the distance objective would hold {count} distances, too many; use the network method")
+            raise NetworkError(f"the distance objective has {count} distances, too many; use the network method")
 
     def at(self, unknowns: Floats) -> Distances:
         """All distances at unknowns (I p,) in units of the prior sigmas."""

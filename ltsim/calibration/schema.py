@@ -357,7 +357,7 @@ REFLECTORS = Table(
     "reflectors.csv",
     "incidence errors of reflectors in fixed nests, parameters of smr-incidence",
     (
-        *texts(reflector="its name; empty where the recording names none", parameter="as `ltsim effects` lists it"),
+        *texts(reflector="name of the SMR, or empty", parameter="as `ltsim effects` lists it"),
         *numbers(".2f", value_um="estimate", sigma_um="standard deviation"),
     ),
 )

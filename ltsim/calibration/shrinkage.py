@@ -34,12 +34,13 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
-"""Scales of the prior that are tried: steps of 12 %."""
+"""Tested scales of the prior: steps of 12 %."""
 CONTRADICTS = 0.5 * float(special.chdtri(1, FAMILY_LEVEL))
-"""The declared scale (1) is rejected if the maximum log-likelihood exceeds its own by more than this: likelihood ratio
-test."""
+"""Smallest excess of the maximum log-likelihood over that of the declared scale (1) at which this scale is rejected
+(likelihood ratio test).
+"""
 PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_LEVEL))
-"""A scale is plausible if its log-likelihood is within this of the maximum: one-sided likelihood ratio test."""
+"""Largest deficit of the log-likelihood of a plausible scale: one-sided likelihood ratio test."""
 UNLIKELY = 30.0
 """Prior scale above which the misfit has another cause than the instrument parameters: no instrument exceeds its
 specification so far in all of them.
@@ -55,7 +56,7 @@ LARGEST = 400
 a dense inverse).
 """
 MOST_TARGETS = 150
-"""Targets that are held out at most; of more, some evenly spread (cost)."""
+"""Largest number of held-out targets (cost); of more, an evenly distributed selection."""
 FEWEST = 5
 """Smallest number of mutually predicted targets for a test with held-out targets."""
 

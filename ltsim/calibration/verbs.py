@@ -160,7 +160,7 @@ def _in_words(text: str, recording: Recording) -> RequestedEffect:
             places["stations" if item in recording.stations else "targets"] += (item,)
         else:
             listed = ", ".join(recording.stations)
-            raise ModelError(f"'{text}': '{item}' is no station ({listed}), no target, and no CONSTANT=VALUE")
+            raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or CONSTANT=VALUE")
     if is_law and constants:
         raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
@@ -174,7 +174,7 @@ def _named_construction(name: str | None, harmonics: int | None, degree: int | N
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
-        raise ModelError(f"{option('harmonics')} and {option('degree')} go with the construction dh")
+        raise ModelError(f"{option('harmonics')} and {option('degree')} need the construction dh")
     return None
 
 

@@ -100,7 +100,7 @@ def run_campaign(
     taken = [] if store.begun or force else store.taken(sources)
     if taken:
         raise SetupError(
-            f"{folder}: holds {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
+            f"{folder}: contains {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
         )
     with store.lock():
         if force and not resume:
@@ -216,7 +216,7 @@ def _check_same(store: Store) -> list[str]:
     notes = []
     if (begun := manifest.commit) != (now := commit()):
         before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
-        notes.append(f"started with {before}, continued with {after}; where the solver changed, rows may differ")
+        notes.append(f"started with {before}, continued with {after}; if the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor()):
         notes.append(f"started on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]

@@ -40,7 +40,7 @@ class Range(TomlSection):
     @model_validator(mode="after")
     def _upward(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
-            raise ValueError("it should have low below high, and low above 0 where the scale is log")
+            raise ValueError("it should have low below high, and low above 0 for a log scale")
         return self
 
     def at(self, share: Floats, *, whole: bool) -> list[float]:

@@ -30,7 +30,7 @@ JUDGED = Table(
         *numbers(
             shown=".1f",
             error_raw_um="readings without corrections",
-            error_calibrated_um="readings corrected by the estimates, or by what is applied of them",
+            error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
         *numbers(shown=".3f", share_removed="of the mean square above the floor"),

@@ -62,7 +62,7 @@ def _criterion(kind: str, what: str) -> list[RowColumn]:
 
 
 def _errors(prefix: str, what: str) -> list[RowColumn]:
-    floor = "readings corrected by the true parameters: the floor of noise, and of what no parameter removes"
+    floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     sizes = {
         f"{prefix}error_raw_um": f"{what}; readings without corrections",
         f"{prefix}error_calibrated_um": f"{what}; readings corrected by the estimates",
@@ -141,7 +141,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
 
     Factors are names with kinds.
     """
-    about = "setting of the cell, in the unit that manifest.json says"
+    about = "setting of the cell, in the unit of manifest.json"
     settings = [
         column
         for name, kind in factors.items()

@@ -120,7 +120,7 @@ def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
         raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
     lost = next((entry.unit for entry in estimates.values() if entry.unit not in FACTOR), None)
     if lost is not None:
-        raise RecordError(f"'{shown(lost)}' is no unit, expected one of {', '.join(FACTOR)}", file=where)
+        raise RecordError(f"'{shown(lost)}' is not a unit, expected one of {', '.join(FACTOR)}", file=where)
     if not estimates:
         raise RecordError("no parameter in the result; expected at least one", file=where)
     return estimates

@@ -137,9 +137,9 @@ class Campaign(TomlSection):
     def _names_differ(self) -> Self:
         titles = [method.title for method in self.methods]
         if not titles or len(set(titles)) < len(titles):
-            raise ValueError(f"it should hold methods with different names, found {', '.join(titles) or 'none'}")
+            raise ValueError(f"it should have methods with different names, found {', '.join(titles) or 'none'}")
         if any(not values for values in self.grid.values()):
-            raise ValueError("it should hold at least one value a key of the grid")
+            raise ValueError("it should have at least one value per key of the grid")
         return self
 
     @model_validator(mode="after")

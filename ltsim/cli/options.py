@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Source = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
 ]
-_IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
+_IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or its folder.")
 CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
 Jobs = Annotated[

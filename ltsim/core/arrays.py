@@ -12,7 +12,7 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 AT_ONCE = 4_000_000
-"""Numbers of a temporary array at most: 32 MB."""
+"""Largest number of entries of a temporary array: 32 MB."""
 
 
 def side_by_side(*columns: Floats) -> Floats:
@@ -54,5 +54,5 @@ def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     if not fits:
         raise ModelError(f"{name} has shape {array.shape}, expected {shape} (-1: any length)")
     if not np.all(np.isfinite(array)):
-        raise ModelError(f"{name} holds a value that is not finite")
+        raise ModelError(f"{name} contains a value that is not finite")
     return array

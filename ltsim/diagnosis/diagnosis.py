@@ -52,7 +52,7 @@ class DiagnosisArrays(ValueEquality):
 
     targets: Targets
     averaging_change: Floats
-    """Change of the readings averaged over the explanations, less that of the refit, (n, 3) [m, rad, rad]."""
+    """Change (n, 3) [m, rad, rad] of the readings averaged over the explanations, minus that of the refit."""
     baseline: Adjustment
     """Adjustment of the ordinary model."""
     adjusted: Adjustment

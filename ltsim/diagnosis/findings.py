@@ -267,7 +267,7 @@ class Explained:
 def noise_finding(
     hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection, *, clock: bool = True
 ) -> Finding:
-    """Finding of a change of the noise, in the observables where it is significant; time in rows without a `clock`."""
+    """Finding on a change of the noise in observables with a significant change; time in rows without a `clock`."""
     effect = hypothesis.effect
     where = where_of(effect, _scattering(hypothesis, sightings))
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)

@@ -22,8 +22,9 @@ from ltsim.physics.laws.regressors import simple
 from ltsim.scene.sightings import Sightings
 
 LEAST_SWITCHED = {True: 1, False: 2}
-"""Smallest number of switching times within set-ups of laws with and without a region of the hall: single steps without
-one are effects of the catalogue."""
+"""Smallest number of switching times within set-ups of laws with and without a region of the hall; single steps without
+a region are effects of the catalogue.
+"""
 MOST_PIECES, EARLY_STOP = 10, 3
 """Largest number of steps and ramps, and number of additional ones that are tried after the evidence has last
 increased.

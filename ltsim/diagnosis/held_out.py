@@ -24,7 +24,7 @@ from ltsim.diagnosis.evidence import wide_posterior
 from ltsim.diagnosis.search import Searcher
 
 FOLDS = 5
-"""Folds of the readings, the usual number of cross-validation: each search has 80 % of them."""
+"""Number of folds, usual in cross-validation: each search has 80 % of the readings."""
 
 
 class HeldOut(NamedTuple):

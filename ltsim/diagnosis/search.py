@@ -218,7 +218,7 @@ class Searcher:
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _laws(self, hits: Sequence[ScreenedLaw], base: Model) -> list[Hypothesis]:
-        """Screened laws; the best, and the best of each kind, evaluated without approximation in all forms.
+        """Screened laws: the best ones, and the best of each kind evaluated without approximation in all forms.
 
         Screening is coarser for some kinds than for others: a refined region can have several times the evidence.
         """

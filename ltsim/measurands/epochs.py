@@ -73,7 +73,7 @@ def compare_coordinates(
     """Comparison of two lists of coordinates in one frame, or in `free` ones; options and errors as `lt.compare`."""
     if first.axes != second.axes:
         raise ModelError(
-            f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
+            f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
     common = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if free else open_motions(epoch) for epoch in (first, second)]

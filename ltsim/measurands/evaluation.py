@@ -59,7 +59,7 @@ class Evaluation:
     def warnings(self) -> list[str]:
         """Warnings on results that are less reliable than they appear, one sentence each."""
         air = self.inputs.air
-        warnings = [f"every budget holds the {air}; change it as [air] of the task file or the set-up"] if air else []
+        warnings = [f"all budgets include the {air}; change it as [air] of the task file or the set-up"] if air else []
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > MAX_CURVATURE:

@@ -34,6 +34,8 @@ SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqr
 
 LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "specification"
 """Names of groups of observations; the last one is the prior of the instrument's constants."""
+STREAM_KEYS = {PRIORS: "what the maker guarantees"}
+"""Keys of random streams that differ from the name of their source; the draws of a seed depend on them."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +113,9 @@ class Inputs(ValueEquality):
         Raises ModelError for points or axes that the list lacks, and for sources that act on readings.
         """
         if tasks.type_b:
-            raise ModelError("a list of coordinates holds no readings: type_b acts on readings; give their recording")
+            raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
         if len(coordinates.axes) < 3:
-            raise ModelError(f"the list holds {coordinates.axes} alone; tasks need x, y and z")
+            raise ModelError(f"the list has only {coordinates.axes}; tasks need x, y and z")
         names = _used(tasks)
         for name in names:
             if name not in coordinates.names:
@@ -249,7 +251,7 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
     except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
-        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")
+        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; declare it as the instrument's noise")
     for what, wanted, choices in (
         ("station", entry.stations, recording.stations),
         ("target", entry.targets, recording.targets),

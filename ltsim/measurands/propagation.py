@@ -20,7 +20,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import Expansion
-from ltsim.measurands.inputs import Inputs
+from ltsim.measurands.inputs import STREAM_KEYS, Inputs
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarlo, PartExpansion
 from ltsim.recordings.coordinates import Coordinates
@@ -223,7 +223,8 @@ def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple
     shift = np.zeros((BATCH, inputs.points.size))
     for i, source in enumerate(inputs.sources):
         shape = BATCH, source.response.shape[1]
-        rng = stream(seed, "uncertainty", source.name, i, number)
+        key = STREAM_KEYS.get(source.name, source.name)
+        rng = stream(seed, "uncertainty", key, i, number)
         shift += variates(rng, source.distribution, shape) @ source.response.T
     grown = np.zeros(BATCH)
     for name, sigma in parts_of(stretch):

@@ -120,7 +120,7 @@ def compare(
     held = None if stable is None else names(stable)
     if lists and (same_instrument or robust or not calibrate):
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
-        raise ModelError(f"lists of coordinates hold no readings: {asked} say nothing")
+        raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
     if len(lists) == 2:
         return compare_coordinates(*lists, stable=held, free=free, scaled=scaled, level=level)
     if lists:

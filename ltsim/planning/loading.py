@@ -217,7 +217,7 @@ def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> No
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
         raise SetupError(
             f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the room; if their numbers "
-            "are metres, head the columns x_m, y_m, z_m; if their points stand for thousands, take these out"
+            "are metres, name the columns x_m, y_m, z_m; if their points separate thousands, remove these"
         )
 
 

@@ -80,7 +80,7 @@ TRADEOFF = Table(
     (
         *columns_of(OptionEntry, "stations faces repeats pointings hours"),
         *columns_of(OptionEntry, "value", value={"title": "objective"}),
-        Column("value_um", "objective, where it is the error of the targets alone", title="objective"),
+        Column("value_um", "objective, if it is only the error of the targets", title="objective"),
         *columns_of(OptionEntry, "efficient", efficient={"title": "best layout in its time"}),
     ),
 )

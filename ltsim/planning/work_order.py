@@ -202,15 +202,15 @@ def checks(plan: PlannedNetwork) -> list[str]:
         f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
         "At every station, before its first pointing: the head is within "
         f"{file.stations.position_tolerance_mm:g} mm of its planned position, and every point of its list is visible.",
-        "At the end of every station: measure the points under 'again' once more; where one is off by more than "
-        "stated, the tripod or the point has moved, and the station is measured anew.",
+        "At the end of every station: measure the points under 'again' once more. If one differs by more than "
+        "its limit, the tripod or the point has moved: measure the station again.",
     ]
     if len(survey.faces) == 2:
         sentences.append(
-            "In both faces: the two readings of a point differ as those of the others do; else one is a slip."
+            "In both faces: the difference of the two readings is similar for all points; otherwise one is wrong."
         )
     if len(survey.position) > 1:
         sentences.append(
-            "Before the second station and each later one is left: ltsim adjust of all so far suspects no pointing."
+            "Before you leave the second and each later station: ltsim adjust with all readings reports no outlier."
         )
     return sentences

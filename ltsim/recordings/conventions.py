@@ -107,7 +107,7 @@ def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle,
         (a, v) for a in angles for v in verticals if _is_possible(table, a, v, is_declared=hints.vertical is not None)
     ]
     if not open_:
-        raise RecordError("the angles fit none of the units deg, gon and rad; check the columns", file=file)
+        raise RecordError("the angles have none of the units deg, gon and rad; check the columns", file=file)
     meaning, why = open_[0], "no other interpretation fits the values"
     if len(open_) > 1:
         meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _require_hint(open_, file)

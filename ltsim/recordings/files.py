@@ -67,7 +67,7 @@ def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> s
     elif b"\x00" in content[1:2] and liberal:
         content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
-        raise RecordError("holds binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
+        raise RecordError("contains binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -154,7 +154,7 @@ class SourceLocation:
         elif not name.isprintable():
             reason = "holds a control character"
         elif forbidden := _FORBIDDEN.search(name):
-            reason = f"holds '{forbidden.group()}'; a name may not hold < > / or \\"
+            reason = f"holds '{forbidden.group()}'; a name may not contain < > / or \\"
         elif name in (".", ".."):
             reason = "is the name of a folder"
         if reason:
@@ -165,7 +165,7 @@ class SourceLocation:
         """The text, checked as a short line without control characters or markup; raises RecordError."""
         markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_TEXT or markup:
-            reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
+            reason = "contains control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
             raise self.error(f"the text '{shown(text)}' {reason}", column)
         return text
 
@@ -189,7 +189,7 @@ def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
     try:
         write_files(folder, {name: t.encode() if isinstance(t, str) else t for name, t in texts.items()})
     except (OSError, UnicodeEncodeError) as problem:
-        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot hold"
+        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot represent"
         raise RecordError(f"cannot be written ({reason})", file=folder) from None
 
 

@@ -111,7 +111,7 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     except csv.Error as problem:
         raise SourceLocation(path, len(rows)).error(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
-        raise RecordError("holds a header only, expected one row a pointing", file=path)
+        raise RecordError("contains only a header, expected one row per pointing", file=path)
     return rows
 
 
@@ -137,7 +137,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail:
     measured = np.stack([_floats(columns[name], SourceLocation(file, column=name)) for name in MEASURED], axis=1)
     nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
     if len(nothing):
-        message = "nothing was measured here, expected an azimuth, an elevation or a distance"
+        message = "the row has no reading, expected an azimuth, an elevation or a distance"
         raise SourceLocation(file, int(nothing[0]) + 1).error(message)
     check_degrees(measured, station, target, face, file)
     covariates, labels = _further(columns, file)
@@ -166,7 +166,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
     """Check that every required column occurs once and in the right unit."""
     where = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
-        raise where.error("the header holds ';' or tabs, expected commas between columns")
+        raise where.error("the header contains ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
         where.text(name)
         if not name:
@@ -283,9 +283,7 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := deviating_keys(entry):
-            notes.append(
-                f"{place}: {', '.join(keys)} stand above those of the data sheet {entry.sheet}, which is not used there"
-            )
+            notes.append(f"{place}: {', '.join(keys)} replace the values of the data sheet {entry.sheet}")
     if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
         notes.append(f"heads_sigma_mm has no effect: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
     if setup.reference_radius_mm is not None and not setup.reflectors:

@@ -221,7 +221,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
     def checked_number(text: str, kind: Callable[[str], float]) -> float:
         value = kind(text) if len(text) <= 400 else math.inf
         if not abs(value) <= LARGEST:
-            raise RecordError(f"holds the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
+            raise RecordError(f"contains the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
         return value
 
     decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))

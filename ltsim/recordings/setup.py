@@ -200,7 +200,7 @@ class Station(TomlSection):
     @model_validator(mode="after")
     def _oriented(self) -> Station:
         if self.yaw_sigma_arcsec is not None and (self.yaw_deg is None or not self.levelled):
-            raise ValueError("it should have yaw_deg, and levelled = true, where it states yaw_sigma_arcsec")
+            raise ValueError("it should have yaw_deg, and levelled = true, with yaw_sigma_arcsec")
         return self
 
 

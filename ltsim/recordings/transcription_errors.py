@@ -218,7 +218,7 @@ def _check_faces(elevation: Floats, face: Ints, file: object) -> None:
     if np.count_nonzero(reduced) > 2 and np.all(reduced == back):
         row = int(np.flatnonzero(reduced)[0])
         message = (
-            f"face 2 holds {elevation[row]:.6g}, as all its elevations reduced to face 1; "
+            f"face 2 contains {elevation[row]:.6g}: its elevations are reduced to face 1; "
             f"expected raw encoder readings, here near {180 - elevation[row]:.6g}"
         )
         raise SourceLocation(file, row + 1, "elevation_deg").error(message)

@@ -74,7 +74,7 @@ def check_part(content: bytes, file: Path) -> None:
     Raises ParseError if it is not well formed.
     """
     if b"\x00" in content:
-        raise RecordError("holds a part that is not UTF-8", file=file)
+        raise RecordError("contains a part that is not UTF-8", file=file)
     check_tags(content, file)
     parser = DefusedXMLParser(target=_DepthCheck(file))
     parser.feed(content)
@@ -104,7 +104,7 @@ def parse(path: Path) -> Node:
     except (ValueError, LookupError, RecursionError):
         raise RecordError("is not XML in a supported encoding", file=path) from None
     if not isinstance(root, Element):
-        raise RecordError("holds no XML element", file=path)
+        raise RecordError("contains no XML element", file=path)
     return Node(root, path)
 
 

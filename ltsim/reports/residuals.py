@@ -83,7 +83,7 @@ class Residuals:
         for column, allowed in (("observable", OBSERVABLES), ("unit", FACTOR)):
             wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:
-                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(allowed)}"
+                message = f"'{shown(table.column(column)[wrong])}' is not one of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
         scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])

@@ -73,7 +73,7 @@ def typeset(text: str) -> str:
 def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
     """Verdict of the global test at 1 % on each side, and its text; `p` is the probability of a larger chi-square."""
     if dof <= 0 or p is None or not math.isfinite(p):
-        return True, "the model cannot be tested, as there is no redundancy"
+        return True, "the model cannot be tested, because there is no redundancy"
     agrees, tested = two_sided(p) >= AGREEMENT_LEVEL, f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p))})"
     if not agrees and p > 0.5:
         return False, f"the scatter of the readings is smaller than the declared noise {tested}"

@@ -101,7 +101,7 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     if not len(corners):
         raise SetupError(
             f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if a unit of it is {factor:g} m; "
-            "state its unit, or export it again"
+            "set its unit, or export it again"
         )
     settled: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
     settled.flags.writeable = False
@@ -130,7 +130,7 @@ def _in_file_units(path: Path, factor: float) -> Floats:
     suffix = path.suffix.lower()
     if suffix in EXACT and not installed("cascadio"):
         raise SetupError(
-            f'{path}: holds exact surfaces, which needs the library cascadio: pip install "ltsim[step]", or export it '
+            f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
         )
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', path.read_bytes())):
@@ -172,8 +172,8 @@ def size_question(cad: CadFile, room: Floats) -> str:
     fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not say; "
-        f'state unit = {other}, or unit = "{cad.unit}" if it is so'
+        f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not declare; "
+        f'set unit = {other}, or unit = "{cad.unit}" if this is correct'
     )
 
 

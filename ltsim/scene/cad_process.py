@@ -48,7 +48,7 @@ def triangles_in(path: Path) -> Floats:
         triangles = _read_in_process(path, len(content))
     _check_count(path, len(triangles))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
-        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+        raise SetupError(f"{path}: contains no surface of triangles with finite coordinates")
     return triangles
 
 

@@ -114,7 +114,7 @@ def areas_and_keep_outs(
             high = min(high, part.ceiling_mm * mm - HEAD_ROOM)
         if low > high:
             raise SetupError(
-                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads stand at {low / mm:g} mm and more; "
+                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads are at {low / mm:g} mm and more; "
                 "give the area a lower height_mm"
             )
         outline = _outline(key, part.corners_mm, size_mm)
@@ -144,7 +144,7 @@ def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, flo
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
     problem = outline_error(outline)
     if problem:
-        raise SetupError(f"{key} is no outline: {problem}")
+        raise SetupError(f"{key} is not an outline: {problem}")
     if size_mm is not None:
         room = np.array(size_mm[:2]) * MILLIMETRE
         beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > room + 1e-3), axis=1))
@@ -263,7 +263,7 @@ def reason_against(
         return ""
     place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]
     if not under:
-        return "outside the floor where tripods may stand (floor.corners_mm, floor.areas, floor.margin_mm)"
+        return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
     if not any(area.holds(position[None])[0] for area in under):
         low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"

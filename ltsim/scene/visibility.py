@@ -157,7 +157,7 @@ def visibility(
     sight = points - position[:, None, :]
     range_ = np.linalg.norm(sight, axis=2)
     if np.any(range_ < TOUCH):
-        raise ModelError("a target stands at the origin of a station")
+        raise ModelError("a target is at the origin of a station")
     beam = sight / range_[:, :, None]
     down = np.broadcast_to(DOWN, position.shape) if rotation is None else rotation @ DOWN
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))

@@ -68,7 +68,7 @@ def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     if not gauge.distance:
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
-            raise SetupError(f"gauge.targets: holds {len(names)} reflectors, but {message}")
+            raise SetupError(f"gauge.targets: has {len(names)} reflectors, but {message}")
         return list(TABLE_2[gauge.reading])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):

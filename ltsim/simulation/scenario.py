@@ -184,9 +184,9 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         else:
             inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
         if not isinstance(inner, (dict, list)):
-            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
+            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is not a table of the scenario")
     if not isinstance(inner, dict):
-        raise SetupError(f"{where}: {shown(key)} is no key of a table; entries of a list are numbered from 1")
+        raise SetupError(f"{where}: {shown(key)} is not a key of a table; entries of a list are numbered from 1")
     if value == REMOVED:
         inner.pop(last, None)
     else:
@@ -224,7 +224,7 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
         wanted, there = getattr(work, key), len(getattr(scenario, key))
         if wanted is not None and wanted > there:
             raise SetupError(
-                f"{file}: work.{key} is {wanted}, but the scenario holds {there}: add some, or ask for fewer"
+                f"{file}: work.{key} is {wanted}, but the scenario has {there}; add some, or ask for fewer"
             )
     stations = dict(list(scenario.stations.items())[: work.stations])
     targets = scenario.targets if work.targets is None else _spread_targets(scenario.targets, work.targets)
@@ -314,7 +314,7 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     if not scenario.stations:
         yield "stations is empty, expected at least one table [stations.NAME]"
     if len(names) < MIN_TARGETS:
-        yield f"targets holds {len(names)} reflectors with the gauge's, expected at least {MIN_TARGETS}"
+        yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
     for name in names:
         if names.count(name) > 1:
             yield f"gauge.targets names '{shown(name)}' twice, or it is a target of the mesh too"
@@ -335,13 +335,13 @@ def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
         if name not in used.values():
             yield f"instruments.{shown(name)} is used at no station; name it as the instrument of a station"
     if "" not in scenario.trackers and scenario.instrument != ScenarioInstrument():
-        yield "instrument is used at no station: every station names an instrument of its own"
+        yield "instrument is used at no station: every station names another instrument"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
     (first, first_design), *others = designs.items()
     for name, other in others:
         if other != first_design:
             designs_named = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
-            yield f"instruments hold different constructions ({designs_named}); one recording has one, with one order"
+            yield f"instruments have different constructions ({designs_named}); one recording has one, with one order"
 
 
 def _wrong_places(scenario: Scenario) -> Iterator[str]:
@@ -367,7 +367,7 @@ def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
         if length.from_ == length.to:
             yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
         if length.material is not None:
-            none_hint = "none, and a table [materials.NAME] states one"
+            none_hint = "none, and a table [materials.NAME] defines one"
             yield from _unknown_name(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
             yield f"lengths.{i}.measured_at_c is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"

@@ -202,7 +202,7 @@ class ScenarioInstrument(TomlSection):
     def _draw_is_a_switch(self) -> Self:
         for name, value in self.errors.items():
             if isinstance(value, bool) != (name == "draw"):
-                raise ValueError("it should hold numbers, and true or false for draw only")
+                raise ValueError("it should have numbers, and true or false only for draw")
         return self
 
     @property

@@ -62,7 +62,7 @@ class TruthArrays(ValueEquality):
 def _require_unit(unit: str) -> str:
     """The unit, checked to be known; raises ValueError."""
     if unit not in FACTOR:
-        raise ValueError(f"'{shown(unit)}' is no unit, expected one of {', '.join(FACTOR)}")
+        raise ValueError(f"'{shown(unit)}' is not a unit, expected one of {', '.join(FACTOR)}")
     return unit
 
 

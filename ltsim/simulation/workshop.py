@@ -154,10 +154,10 @@ def _place_question(entry: Obstacle, body: Body, cad: CadFile, room: Floats) -> 
     turned = _in_place(entry, cad.turned)
     size = " x ".join(f"{v:g}" for v in room)
     what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
-    fits = f'with up = "{other}" it would stand in it' if inside(turned, room) else "move it by position_mm"
+    fits = f'with up = "{other}" it is inside the room' if inside(turned, room) else "move it by position_mm"
     return (
         f"{cad.file}: {what} of {size} m ({cad.read_as}: {extent(body.triangles)}); {fits}; "
-        "if it belongs there, state beyond_room = true"
+        "if this is correct, set beyond_room = true"
     )
 
 

@@ -336,7 +336,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
         (
             'val="1.5001" dist="0.35"',
             'val="1.5001"',
-            "no standard deviation is stated for <dh>, expected one (stdev, dist",
+            "no standard deviation is given for <dh>, expected one (stdev, dist",
         ),
         ('val="1.5001" dist="0.35"', 'val="1.5001" stdev="0"', "expected values below 1e8 m, and variances"),
         ('val="1.5001"', 'from_dh="1.5" val="1.5001"', "expected one between the marks, without from_dh and to_dh"),
@@ -399,7 +399,7 @@ def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_pat
         for name, (x, y) in places.items():
             for one in (near, found):
                 assert one.state.points[one.recording.targets.index(name), :2] == pytest.approx((x, -y), abs=2e-3)
-    with pytest.raises(NetworkError, match="or rough coordinates of all"):
+    with pytest.raises(NetworkError, match="or approximate coordinates of all"):
         adjusted(points + unknown, "A C E, Z E C, C E A")
 
 

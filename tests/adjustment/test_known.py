@@ -268,7 +268,7 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     assert {test.name: test.axes for test in found.reference_tests}["T02"] == "z"
     assert "frame of the control points" in lt.adjust(with_control(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
-    with pytest.raises(RecordError, match="states no standard deviation of T01"):
+    with pytest.raises(RecordError, match="has no standard deviation of T01"):
         with_control(recording, file)
     file.write_text("target,x_mm,y_mm,z_mm,sigma_mm\nX01,1,2,3,0.1\n")
     with pytest.raises(RecordError, match="none of the recording's targets"):

@@ -75,7 +75,7 @@ def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
     assert not lt.compare(*paths).moved
     assert run(["compare", *paths, "--robust"]) == 2
-    assert "hold no readings" in capsys.readouterr().err
+    assert "contain no readings" in capsys.readouterr().err
     (tmp_path / "1.covariance.csv").write_text("covariance_mm2,901.x\n901.x,1\n")
     assert run(["compare", *paths]) == 2
     assert "lacks the coordinate 901.y" in capsys.readouterr().err
@@ -232,7 +232,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
         read_coordinates(path)
     path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0.2\n")
     assert "no covariance between points" in read_coordinates(path).notes[0]
-    with pytest.raises(LtsimError, match="axes have to be the same"):
+    with pytest.raises(LtsimError, match="axes must be the same"):
         compare_coordinates(crown(0), read_coordinates(path))
     with pytest.raises(LtsimError, match="another one alone"):
         lt.compare(path, lt.simulate("paper-workshop", seed=1)[0])

@@ -256,7 +256,7 @@ def test_results_against_themselves_differ_by_nothing() -> None:
         ({"task": [{"name": "a", "kind": "distance", "targets": ["T01"]}]}, "name 2 targets"),
         ({"task": [{"name": "a", "kind": "cone", "targets": ["T01"]}]}, "cone"),
         ({"type_b": [{"effect": "nonsense"}]}, "nonsense"),
-        ({"type_b": [{"effect": "noise-level"}]}, "state it as the instrument's noise"),
+        ({"type_b": [{"effect": "noise-level"}]}, "declare it as the instrument's noise"),
         ({"type_b": [{"effect": "station-weather", "stations": ["S9"]}]}, "S9"),
         ({"type_b": [{"effect": "station-weather", "sizes": {"x": 1.0}}]}, "x"),
         ({"task": [{"name": "a", "kind": "point", "targets": ["T99"]}]}, "T99"),

@@ -65,7 +65,7 @@ def hall(tmp_path: Path) -> Path:
             (2500, 2100),
             "S1 and S2 are 0.10 m apart, closer than 1 m (stations.spacing_mm)",
         ),
-        ((300, 2000), (4000, 2000), "S1 stands outside the floor where tripods may stand (floor.corners_mm"),
+        ((300, 2000), (4000, 2000), "S1 stands outside the permitted floor (floor.corners_mm"),
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
         ((4100, 900), (2000, 2000), "S1 stands on floor that is kept free (floor.keep_outs, floor.doors)"),
         ((4500, 2800), (2000, 2000), "S1 stands inside an obstacle (workshop.obstacles)"),

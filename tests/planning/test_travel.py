@@ -90,7 +90,7 @@ def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys
     [
         (["--without", "S9"], "S9"),
         (["--move", "S2=1"], "expected STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm"),
-        (["--move", "S2=6000,4000"], "S2 stands outside the floor where tripods may stand"),
+        (["--move", "S2=6000,4000"], "S2 stands outside the permitted floor"),
         (["--without", "S2", "--out", "there"], "--without lists places"),
     ],
 )

@@ -143,7 +143,7 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
         ('y="200" z="10"', 'y="200"', "fixed, but lacks coordinates"),
         ('x="100" y="200"', 'x="1e9" y="200"', "position_mm.1 is 1000000000000.0, but it should be less"),
         ('axes-xy="ne"', 'axes-xy="up"', "not a system of gama-local"),
-        ('direction-stdev="3.0"', "", "no standard deviation is stated"),
+        ('direction-stdev="3.0"', "", "no standard deviation is given"),
         ('distance-stdev="1.5"', 'distance-stdev="0"', "a standard deviation of 0"),
         ("</network>", "", "not well-formed"),
         ('<obs from="D">', '<obs from="D"><cov-mat dim="9" band="0">1</cov-mat>', "do not match"),

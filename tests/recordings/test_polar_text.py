@@ -128,7 +128,7 @@ def test_comments_say_what_is_meant(tmp_path: Path) -> None:
         ("S1 T1 10 95 -2000", "row 3, column distance: found -2000"),
         ("S1 T1 10 95 1e99", "row 3, column distance"),
         ("S1 <T1> 10 95 2000", "holds '<'"),
-        ("S1 T1 1000 95 2000", "fit none of the units"),
+        ("S1 T1 1000 95 2000", "have none of the units"),
         ("S1 T1 10 95 " + "9" * 30_000, "longer than"),
         ("S1 T1 10 95 2000.", ""),
     ],

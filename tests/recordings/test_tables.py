@@ -250,7 +250,7 @@ def test_readings_reduced_to_face_1_are_turned_back(tmp_path: Path) -> None:
         ("Point,Az[deg],El[deg],D[mm]\nT1,1,2,3000,7\n", "row 2: 5 fields, expected 4 as in the header"),
         ("Point,Az[deg],El[deg],D[mm]\nT1,1,2,3000.123\nT2,1,2,30", "row 3: the file ends inside this row"),
         ("Point,Az[deg],El[deg],D[mm]\n<b>,1,2,3000\n", "holds '<'"),
-        ("Point,Az[deg],El[deg],D[mm]\n", "holds no"),
+        ("Point,Az[deg],El[deg],D[mm]\n", "contains no"),
         ("Point,Az[deg],El[deg],D[mm],Date\nT1,1,2,3000,03/04/2026\nT2,1,2,3000,04/04/2026\n", "--hint date=dmy"),
     ],
 )
@@ -265,7 +265,7 @@ def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> 
     [
         ("azimuth=D[furlong]", "a unit of azimuth can be deg, gon, rad, dms"),
         ("colour=D", "expected ROLE=HEADER[UNIT] with a role among station, target"),
-        ("azimuth=Z[deg],elevation=E[deg]", "does not say what its columns hold"),
+        ("azimuth=Z[deg],elevation=E[deg]", "does not define its columns"),
     ],
 )
 def test_wrong_mappings_get_one_sentence(tmp_path: Path, wanted: str, says: str) -> None:

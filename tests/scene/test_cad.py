@@ -195,10 +195,10 @@ PLACE = "position_mm = [0, 0, 0]"
 @pytest.mark.parametrize(
     ("name", "turn", "scale", "place", "sentence"),
     [
-        ("fuselage.stl", None, 1e-3, PLACE, 'does not say; state unit = "m", or unit = "mm" if it is so'),
-        ("fuselage.stl", None, 1 / 25.4, PLACE, 'does not say; state unit = "in", or unit = "mm" if it is so'),
+        ("fuselage.stl", None, 1e-3, PLACE, 'does not declare; set unit = "m", or unit = "mm" if this is correct'),
+        ("fuselage.stl", None, 1 / 25.4, PLACE, 'does not declare; set unit = "in", or unit = "mm" if this is correct'),
         ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its numbers are millimetres"),
-        ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it would'),
+        ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it is inside'),
         ("fuselage.stl", None, 1.0, "position_mm = [0, 0, -3000]", "reaches below the floor of 40 x 25 x 12 m"),
         ("fuselage.step", None, 1.0, "position_mm = [10000, 0, 0]", "reaches beyond the room of 40 x 25 x 12 m"),
     ],

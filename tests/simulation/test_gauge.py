@@ -65,7 +65,7 @@ def test_own_gauges_need_all_their_lengths_and_must_fit_in_space() -> None:
         frame_of(ScenarioGauge.model_validate({**table, "distance": square(400.0)[:-1]}))
     with pytest.raises(SetupError, match="is not a pair of"):
         frame_of(ScenarioGauge.model_validate({**table, "distance": [{"from": "A", "to": "X", "length_mm": 1}]}))
-    with pytest.raises(SetupError, match="holds 3 reflectors"):
+    with pytest.raises(SetupError, match="has 3 reflectors"):
         frame_of(ScenarioGauge(position_mm=PLACE, targets=("A", "B", "C")))
 
 

@@ -114,7 +114,7 @@ def test_the_curve_rises(recording: Recording) -> None:
     ("cause", "said"),
     [
         ("nonsense", "no effect called 'nonsense'"),
-        ("range-step:S9", "'S9' is no station"),
+        ("range-step:S9", "'S9' is not a station"),
         ("range-step:S3,range-step=far", "expected a number"),
         ("azimuth ~ nothing at all", "nothing at all"),
         ("azimuth ~ constant:S2", "network absorbs"),

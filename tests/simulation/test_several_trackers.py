@@ -117,7 +117,7 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
     ("changes", "message"),
     [
         ({"stations.S1.instrument": "C"}, r"stations.S1.instrument names 'C', which is not one of A, B"),
-        ({"instruments.A.construction": "dh"}, r"instruments hold different constructions \(instruments.A 'dh' and"),
+        ({"instruments.A.construction": "dh"}, r"instruments have different constructions \(instruments.A 'dh' and"),
         ({"instruments.C.corrected": True}, "instruments.C is used at no station; name it as"),
         ({"instrument.noise_factor": 2.0}, "instrument is used at no station"),
         ({"instruments.B.limits.elevation_max_deg": -50}, "instruments.B.limits is .* below elevation_max_deg"),

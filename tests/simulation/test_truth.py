@@ -70,7 +70,7 @@ def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
         ({"format": "ltsim-recording/1"}, "format"),
         ({"stations": []}, "stations"),
         ({"noise_factor": "loud"}, "noise_factor"),
-        ({"parameters": [{"name": "a", "value": 1.0, "unit": "furlong"}]}, "'furlong' is no unit"),
+        ({"parameters": [{"name": "a", "value": 1.0, "unit": "furlong"}]}, "'furlong' is not a unit"),
         ({"effects": [{"effect": "ghost"}]}, "no effect called 'ghost'"),
         ({"nominal": [{"name": "X", "position_mm": [0, 0, 0]}]}, "not those of the targets"),
     ],

@@ -183,7 +183,7 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
     for what, column, fewest in (("length_um", length, FEWEST_LENGTHS), ("probe_um", probe, FEWEST_PROBED)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
-            raise RecordError(f"holds {what} at {different} angles, expected {fewest} or more", file=path)
+            raise RecordError(f"has {what} at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
     return BenchRecord(
         angles=angle[measured] * DEGREE,

@@ -102,7 +102,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
         network = (*scattering, *together)
     result = Check.of(CheckArrays(whole, setups), network, level, causes)
     if not result.items:
-        message = "no station measured a target twice, so nothing can be checked yet; "
+        message = "no station measured a target twice, so no test is possible yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return result
 

@@ -64,7 +64,7 @@ class ReadingShift(Signature):
         return on_readings(sightings, **{self.observable: -size[:, None]})
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
-        """The change at a value; distances that have a scale error change by that share of their change."""
+        """Change of the readings at a value; distances with a scale error change in proportion to their change."""
         design = self.design(sightings)
         if not self.proportional:
             return Linearisation(design @ values, design)

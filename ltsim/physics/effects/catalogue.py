@@ -203,5 +203,5 @@ def fault_of(kind: object) -> str:
         return "its class lacks a stage or parameters"
     units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
     return next(
-        (f"the unit '{u}' of {name} is none of {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
+        (f"the unit '{u}' of {name} is not in {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
     )

@@ -39,7 +39,7 @@ def _apparent(sightings: Sightings, motion: Floats) -> Sightings:
 
 
 def _linearised(sightings: Sightings, apparent: Sightings, by_values: Floats) -> Linearisation:
-    """Change of the readings where reflectors appear elsewhere, with its derivatives."""
+    """Change of the readings for displaced apparent reflectors, with its derivatives."""
     by_target = apparent.by_target - sightings.by_target
     by_pose = station_design(apparent) - station_design(sightings)
     return Linearisation(reading_change(sightings, apparent.local), by_values, (by_target, by_pose))

@@ -98,14 +98,14 @@ class ShapeParameter:
 
 
 class Linearisation(NamedTuple):
-    """Change of the readings by a signature at some parameter values, and its derivatives there."""
+    """Change of the readings by a signature at given parameter values, with its derivatives."""
 
     shift: Floats
     """Change (n, 3) of the raw readings."""
     by_values: Floats
-    """Derivative (n, 3, p) by the parameters."""
+    """Derivative (n, 3, p) with respect to the parameters."""
     by_geometry: tuple[Floats, Floats] | None = None
-    """Derivatives by the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
+    """Derivatives with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
 
     None where they are neglected, as for all changes that are small beside the distance.
     """
@@ -148,7 +148,7 @@ class Signature(Protocol):
         return self.design(sightings) @ values
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
-        """The change of the readings at parameter values (p,) [SI], with its derivatives."""
+        """Change of the readings at parameter values (p,) [SI], with its derivatives."""
         return Linearisation(self.shift(sightings, values), self.design(sightings))
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:

@@ -223,7 +223,7 @@ class Regressor:
 
     @property
     def hall_region(self) -> Region | None:
-        """Region of the hall that it, or one of its factors, follows."""
+        """Region of the hall on which the regressor, or one of its factors, depends."""
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
     def through(self, region: Region) -> Regressor:

@@ -104,7 +104,7 @@ AT_EACH = ", another at each instrument"
 """Suffix of a product whose other factor is separate for each instrument."""
 SWITCH = "a switch of {x}, on from {spans}"
 START = "the start"
-"""Said for the start of a span that began before the first pointing."""
+"""Text form of the start of a span that began before the first pointing."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 

@@ -154,7 +154,7 @@ def _begin_setup(rest: Words, file: _File) -> None:
         raise rest.where.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
     point = rest.where.name(rest.tokens[0], "station")
     if point not in file.points:
-        raise rest.where.error(f"the set-up stands on {point}, which no block of points declares")
+        raise rest.where.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = rest.options(2), file.polar[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)

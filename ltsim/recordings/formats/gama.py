@@ -273,7 +273,7 @@ def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
     kind = STDEV_OF.get(child.tag, child.tag)
     words = child.get("stdev", network.stdev.get(kind, "")).split()
     if not 0 < len(words) < 4:
-        message = f"no standard deviation is stated for <{shown(child.tag)}>, expected one (stdev, or {kind}-stdev)"
+        message = f"no standard deviation is given for <{shown(child.tag)}>, expected one (stdev, or {kind}-stdev)"
         raise child.where.error(message)
     coefficients = [child.where.number(word, "stdev", limit=1e9) for word in words]
     a, b, c = [*coefficients, 0.0, 1.0][:3] if len(coefficients) == 1 else [*coefficients, 1.0][:3]
@@ -293,7 +293,7 @@ def _finished(network: GamaNetwork) -> Recording:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
     if not pointings and skipped:
-        raise RecordError(f"holds no pointings, and {'; '.join(skipped)}", file=network.file)
+        raise RecordError(f"contains no pointings, and {'; '.join(skipped)}", file=network.file)
     network.notes += skipped
     stations = {
         name: Station(

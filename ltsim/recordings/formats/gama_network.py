@@ -157,7 +157,7 @@ def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[R
     row, column, numbers = covariances(section)
     wrong = next((child for child in inner if child.tag != tag), None)
     if wrong is not None:
-        raise wrong.where.error(f"<{shown(wrong.tag)}> stands in <{section.tag}>, expected <{tag}>")
+        raise wrong.where.error(f"<{shown(wrong.tag)}> is in <{section.tag}>, expected <{tag}>")
     if len(numbers) and row[-1] + 1 != size * len(inner):
         raise section.where.error("a <cov-mat> that does not match its observations")
     whole, differences = np.zeros((size * len(inner),) * 2), []
@@ -175,7 +175,7 @@ def _sigma(child: Node, apriori: float) -> float:
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
         wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
-        raise child.where.error(f"no standard deviation is stated for <{child.tag}>, expected one ({wanted})")
+        raise child.where.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
     value = max(child.number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori * float(np.sqrt(value))
 

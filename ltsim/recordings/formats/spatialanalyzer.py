@@ -78,7 +78,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     blocks = [block for block in _blocks(path) if block.rows]
     if not blocks:
-        raise RecordError("holds no block of observations", file=path)
+        raise RecordError("contains no block of observations", file=path)
     names = _station_names(blocks)
     used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
     remarks, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
@@ -108,7 +108,7 @@ def _cells(path: Path) -> Iterator[Row]:
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING.match(line)), None)
     if heading is None:
-        raise RecordError("holds no heading 'Collection, Group, Target, ...': it is incomplete", file=path)
+        raise RecordError("contains no heading 'Collection, Group, Target, ...': it is incomplete", file=path)
     separator = heading.replace('"', "")[len("Collection")]
     reader = csv.reader((line + "\n" for line in lines), delimiter=separator, strict=True)
     try:
@@ -176,7 +176,7 @@ def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
     for wanted, allowed in UNITS.items():
         units = [unit for word, unit in named if word == wanted]
         if len(units) != 1:
-            message = f"the heading holds {len(units)} columns called {wanted.capitalize()}, expected one"
+            message = f"the heading has {len(units)} columns called {wanted.capitalize()}, expected one"
             raise where.error(message)
         if allowed is not None and units[0] not in allowed:
             message = f"unit '{shown(units[0])}' in this heading, expected one of {', '.join(allowed)}"

@@ -40,9 +40,9 @@ def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
     advised = _advised(titles, [row for row in body if len(row) == width][:SAMPLE])
     advice = next(filter(serves, advised[:MAX_TRIED]), None)
     if advice is not None:
-        return f'{header} does not say what its columns hold; say it, for instance --columns "{advice}"'
+        return f'{header} does not define its columns; define them, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"
-    return f"{header} does not say what its columns hold, and {reason}; if they can, say which: {ASK}"
+    return f"{header} does not define its columns, and {reason}; if they can, define them: {ASK}"
 
 
 def sample_of(sheet: Sheet) -> list[Row]:

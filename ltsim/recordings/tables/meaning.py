@@ -151,7 +151,7 @@ def _length(declared: str, polar: PolarTable, table: PointingTable, hints: Hints
     tall = [abs(float(height)) for height in map(cells.value, texts) if height]
     if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
         return "m", [
-            f"distances are interpreted as m ('{shown(column.title)}' in the same table holds heights of metres)"
+            f"distances are interpreted as m ('{shown(column.title)}' in the same table contains heights in metres)"
         ]
     message = f"distances of up to {longest:.6g} may be metres or millimetres; give --hint length=m or"
     raise RecordError(f"{message} --hint length=mm", file=file)

@@ -74,10 +74,10 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
         message = f"'{shown(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
         raise table.pointings.place(0).error(message, shown(column.title))
     if seconds is None:
-        unknown = f"column '{shown(column.title)}' holds no readable time ('{shown(texts[0])}')"
+        unknown = f"column '{shown(column.title)}' contains no readable time ('{shown(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
     if not any(":" in text for text in texts):
-        return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
+        return nothing, "", [f"column '{shown(column.title)}' contains dates without a time: {by_rows}"]
     return seconds, start, []
 
 
@@ -297,7 +297,7 @@ def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readin
         return ""
     ranges = readings[:, 0][np.isfinite(readings[:, 0])]
     if table.column(("flat",)) is not None:
-        return "it holds horizontal distances"
+        return "it contains horizontal distances"
     if not len(ranges):
         return ""
     if ranges.max() > TRACKER_RANGE_M:

@@ -144,7 +144,7 @@ class RunReader:
         if number is None or not abs(number) < MAX_READING:
             raise where.error(f"found '{shown(text)}', expected a number", shown(column.title))
         if column.role in DISTANCE and not number > 0:
-            what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
+            what = f"found {shown(text)}, expected a distance above 0, or an empty cell without one"
             raise where.error(what, shown(column.title))
         return str(number)
 
@@ -196,8 +196,8 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
         elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
             raise RecordError(unnamed(sheet, partial(_is_readable, sheet, hints)), file=sheet.file)
     if not any(map(len, parts)):
-        unread = f": {whole.unread[0]} has no number where its header names readings" if whole.unread else ""
-        raise RecordError(f"holds no pointings{unread or ' below its header'}", file=file)
+        unread = f": {whole.unread[0]} has no number in a column of readings" if whole.unread else ""
+        raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
     whole.pointings = joined(parts)
     whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
     return whole

@@ -48,7 +48,7 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
     if names != {""} and (count < MIN_ROWS or len(stations) > 1):
         return table
     if len(stations) > 1:
-        message = "names no points, and nothing tells which targets of its set-ups are the same; add a column target"
+        message = "names no points, so common targets of its set-ups are unknown; add a column target"
         raise RecordError(message, file=file)
     table.pointings.target = [f"pose-{place + 1}" for place in places.tolist()]
     called = "names no points" if names == {""} else f"has one name ('{shown(names.pop())}') for all of its rows"

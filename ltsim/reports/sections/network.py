@@ -90,7 +90,7 @@ def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
 
 def over_covariates(after: Residuals) -> list[Block]:
     """Figure of residuals over covariates."""
-    text = "Lines: running means with twice their standard error; they stay at zero if the model holds."
+    text = "Lines: running means with twice their standard error; they stay at zero if the model is correct."
     title = "Residuals over covariates"
     shared = set(USUAL) & set(after.covariates)
     return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if shared else []

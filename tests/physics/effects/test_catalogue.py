@@ -74,7 +74,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
         (made("backlash"), "ltsim has an effect 'backlash' already"),
         (made("Cold"), "lower-case words"),
         (made("cold", parameters=()), "lacks a stage or parameters"),
-        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is none of um, mm"),
+        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is not in um, mm"),
         (made("cold", CARD.replace("Valid: in winter.\n", "")), "a card has the parts Size, Like"),
         (type("Cold", (Effect,), {"name": "cold"}), "its class lacks design"),
     ],

@@ -113,7 +113,7 @@ def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     assert found["may_stand"][0] is False
     assert found["points"]
     stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
-    assert "S1 stands outside the floor where tripods may stand" in board.judged(stations)["problem"]
+    assert "S1 stands outside the permitted floor" in board.judged(stations)["problem"]
     stations[0]["mm"][:2] = stations[1]["mm"][:2]
     assert "closer than 1 m" in board.judged(stations)["problem"]
     stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
