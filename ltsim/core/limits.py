@@ -24,10 +24,10 @@ in a millisecond.
 CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
 
-ADJUSTED_POINTINGS = 60_000
-"""Pointings of a network that is adjusted or checked: a pointing takes 5 kB and 0.5 ms, the libraries 130 MB, or with
+ADJUSTED_POINTINGS = 50_000
+"""Pointings of a network that is adjusted or checked: each takes 4 to 7 kB and 0.5 ms, the libraries 130 MB, or with
 pictures 480 MB."""
-CALIBRATED_POINTINGS = 35_000
+CALIBRATED_POINTINGS = 30_000
 """Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
 DIAGNOSED_POINTINGS = 8_000
 """Pointings of a network that is diagnosed, in half a minute: each meets the candidate causes, which takes 170 kB."""
