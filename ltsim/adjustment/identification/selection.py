@@ -146,6 +146,10 @@ class Selection:
         return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_LEVEL
 
 
+LARGE_MOTION = 1000.0
+"""Smallest size of a station's motion, in its standard deviations, at which other moments are fitted: a smaller one
+does not distort the network.
+"""
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
 """Fit, and the hypotheses that were fitted in addition to its own."""
 
@@ -173,10 +177,41 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
         needed = least if not _misfit(fit) else AMONG_MISFIT
         if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
-        chosen = _without_needless(tried[0][1], least, len(beginning.hypotheses), required)
+        best = _at_best_moment(tried[0][1])
+        chosen = _without_needless(best, least, len(beginning.hypotheses), required)
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
     return _judged_again(fit, least, beginning, last, required)
+
+
+def _at_best_moment(fit: Fit) -> Fit:
+    """Fit with the best moment of a station's motion that was accepted last, if any.
+
+    The score of a moment is linear. A large motion distorts the network in which it is computed, so that the moment with
+    the best score may be several pointings off; the readings between would then look like further causes.
+    """
+    *others, last = fit.hypotheses
+    bump = last.change.effect if isinstance(last.change, Shift) else None
+    if not isinstance(bump, StationBump) or fit.length(last) < LARGE_MOTION:
+        return fit
+    times = np.unique(fit.recording.time[fit.recording.station == fit.recording.stations.index(bump.stations[0])])
+    gaps = (0.5 * (times[1:] + times[:-1])).tolist()
+    now, step = int(np.argmin(np.abs(np.subtract(gaps, bump.time)))), max(len(gaps) // 4, 1)
+    while step:
+        for at in (now - step, now + step):
+            if not 0 < at < len(gaps) - 1:
+                continue
+            moved = replace(last, change=replace(last.change, effect=bump.reshaped(time=gaps[at])))
+            try:
+                made = Fit.of(fit.network, (*others, moved), replace(fit.state, extra=np.zeros(0)))
+            except LtsimError:
+                continue
+            if made is not None and made.log_evidence > fit.log_evidence:
+                fit, now = made, at
+                break
+        else:
+            step //= 2
+    return fit
 
 
 def _misfit(fit: Fit) -> bool:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import Network, Selection, outcomes, select
 from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
 from ltsim.adjustment.identification.fit import Fit, changed_recording
 from ltsim.adjustment.identification.library import candidates
 from ltsim.adjustment.identification.screen import _distances_aside
+from ltsim.adjustment.identification.selection import _at_best_moment
 from ltsim.adjustment.identification.tests import usual_radius
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import robust_state
@@ -23,7 +25,8 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rotations import about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.model.construction import declared_construction, misalignment
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
@@ -119,6 +122,24 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
     middle = len(rows) // 2
     assert f"between rows {rows[middle - 1] + 1} and {rows[middle] + 1}" in test.sentence
+
+
+@pytest.mark.parametrize("gaps", [-6, -3, 3, 6])
+def test_the_moment_of_a_large_motion_is_corrected_in_the_fit(gaps: int) -> None:
+    """The score of a moment is linear, so that the motion of a distorted network may be accepted at a wrong one."""
+    recording, _ = network(seed=5)
+    times = np.unique(recording.time[recording.station == 2])
+    between = 0.5 * (times[1:] + times[:-1])
+    bump = StationBump((recording.stations[2],), time=float(between[len(between) // 2]))
+    change = bump.shift(adjust(recording).sightings, np.array([0.02, -0.01, 0.006, 0.0, 0.0, 0.0]))
+    right = select(Network(recording.with_readings(recording.readings + change), declared_construction(recording))).fit
+    (hypothesis,) = right.hypotheses
+    elsewhere = bump.reshaped(time=float(between[len(between) // 2 + gaps]))
+    wrong = Fit.of(right.network, (replace(hypothesis, change=replace(hypothesis.change, effect=elsewhere)),))
+    assert wrong is not None and wrong.log_evidence < right.log_evidence - 100.0
+    corrected = _at_best_moment(wrong)
+    assert corrected.hypotheses[0].change.effect.time == bump.time
+    assert corrected.log_evidence == pytest.approx(right.log_evidence, abs=1e-3)
 
 
 def test_a_target_that_moved_between_two_stations() -> None:
