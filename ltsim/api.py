@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
 from ltsim.recordings.exchange import RecordingSource, is_recording
@@ -131,7 +132,6 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
     from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import write_diagnosis
     from ltsim.planning.result import Plan, write_plan
-    from ltsim.reports.schemas import TABLES
     from ltsim.simulation.truth import Truth, write_truth
 
     match result:
@@ -144,6 +144,8 @@ def _write_result(result: ResultFile, path: Path, recording: Recording | None) -
         case Plan():
             write_plan(result, path)
         case ResultFile():
+            from ltsim.reports.schemas import TABLES  # which takes half a second
+
             named = {table.file for table in TABLES.get(result.FILE, ())}
             tables = [result.table(name) for name in result._tables()]
             write_result(path, result, {table.file: table.csv() for table in tables if table.file in named})
@@ -158,6 +160,7 @@ def convert(
     to: str = "native",
     format: str | None = None,  # noqa: A002
     hints: Hints | None = None,
+    every: int = 1,
 ) -> Recording:
     """Read a recording in one format and write it in another.
 
@@ -169,11 +172,14 @@ def convert(
         Format to write.
     format, hints
         As of `read`.
+    every : int
+        Write one of so many pointings of each sight, of a station to a target on a face: a long monitoring has more
+        than a network needs.
 
     Returns
     -------
     Recording
-        Its `notes` say what was decided about an ambiguous file.
+        As it was written. Its `notes` say what was decided about an ambiguous file.
 
     Examples
     --------
@@ -182,6 +188,8 @@ def convert(
     >>> lt.convert(recording, "workshop.txt", to="polar-text")
     Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
+    check_bounds(every=every, required="every")
     recording = source if isinstance(source, Recording) else read_recording(source, format=format, hints=hints)
+    recording = recording if every == 1 else recording.thinned(every)
     write_recording(recording, destination, to)
     return recording

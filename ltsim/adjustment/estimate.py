@@ -20,6 +20,7 @@ from ltsim.adjustment.stochastic_model import Component, Grouping, estimated_com
 from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
+from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rigid import rigid_motion
@@ -95,11 +96,13 @@ def adjust(
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest, a station measures the target that it stands on, or SMRs
-        of several radii stand off along normals in whose frame nothing holds the network.
+        When the readings do not tie a station to the rest, a station measures the target that it stands on, SMRs
+        of several radii stand off along normals in whose frame nothing holds the network, or the pointings
+        are more than `ADJUSTED_POINTINGS`.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
+    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     built, copied = construction or ideal(), copied_rows(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))

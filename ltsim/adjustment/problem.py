@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,7 +24,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
-from ltsim.solve.design import Design, Pattern, as_dense
+from ltsim.solve.design import PIECE, Design, Pattern, as_dense
 from ltsim.solve.elimination import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
@@ -157,10 +158,12 @@ class NetworkProblem(NetworkRows):
 
     def system(self, state: State, prediction: Prediction) -> BlockSystem:
         """Whitened linear system at a state whose predicted readings are given."""
-        design = self._pattern.filled(self._values(state, prediction))
+        residual, values = self._residual_rows(state, prediction.readings), self._values(state, prediction)
+        del prediction  # which takes as much memory as the design
+        design = self._pattern.filled(values)
         if self.gauge.root is not None:
             design = self._with_shared_errors(design)
-        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.n_reduced)
+        return BlockSystem(design, residual, self.unknowns.n_reduced)
 
     def _with_shared_errors(self, design: Design) -> Design:
         """Design in which the rows of lengths with shared errors are transformed to independent ones."""
@@ -184,7 +187,7 @@ class NetworkProblem(NetworkRows):
         ends = at.target[gauge.first], at.target[gauge.second], np.tile(at.extra, (len(gauge), 1))
         anchors = at.pose[self.structure.anchors].ravel()
         return [
-            np.repeat(pointings[:, None, :], 3, axis=1)[self.use],
+            pointings[np.nonzero(self.use)[0]],
             np.concatenate(ends, axis=1),
             np.repeat(at.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.mark_control.target, :3], self.mark_control.axes.sum(axis=1), axis=0),
@@ -197,27 +200,34 @@ class NetworkProblem(NetworkRows):
             np.tile(anchors, (self.free.shape[1], 1)),
         ]
 
-    def _values(self, state: State, prediction: Prediction) -> list[Floats]:
-        """Whitened derivatives (rows, width), in the order of `_columns`."""
-        by_instrument = prediction.by_instrument
-        if self.prior.held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
-            by_instrument = np.where(self.prior.held[self.model.recording.instrument][:, None], 0.0, by_instrument)
-        by = [prediction.by_pose, prediction.by_target, by_instrument, prediction.by_extra]
+    def _values(self, state: State, prediction: Prediction) -> Iterator[Floats]:
+        """Whitened derivatives (rows, width) in the order of `_columns`."""
+        yield from self._reading_values(prediction)
         direction = self.gauge.directions(state.points)
         gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
-        return [
-            np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None],
-            gauge / self.gauge.sigma[:, None],
-            self.control.weights(),
-            self.mark_control.weights(),
-            self.differences.derivatives(),
-            self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
-            self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None],
-            self.structure.held_directions(state) / DATUM_SIGMA[0],
-            self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)],
-            1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
-            self._datum_values(state),
-        ]
+        yield gauge / self.gauge.sigma[:, None]
+        yield self.control.weights()
+        yield self.mark_control.weights()
+        yield self.differences.derivatives()
+        yield self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None]
+        yield self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None]
+        yield self.structure.held_directions(state) / DATUM_SIGMA[0]
+        yield self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)]
+        yield 1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)]
+        yield self._datum_values(state)
+
+    def _reading_values(self, prediction: Prediction) -> Iterator[Floats]:
+        """Whitened derivatives (r, width) of the readings in use, of some pointings after the others."""
+        by = [prediction.by_pose, prediction.by_target, prediction.by_instrument, prediction.by_extra]
+        held = self.prior.held[self.model.recording.instrument][:, None]
+        step = PIECE // 3
+        for first in range(0, len(self.use), step):
+            piece = slice(first, first + step)
+            parts = [part[piece] for part in by]
+            if held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
+                parts[2] = np.where(held[piece], 0.0, parts[2])
+            use = self.use[piece]
+            yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
 
     def _prior_columns(self) -> Ints:
         """Columns (m, 1) of the prior's rows, or (m, p) if it correlates parameters."""

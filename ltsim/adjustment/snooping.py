@@ -222,15 +222,12 @@ def snoop_readings(
     Reweighting gives a network that many outliers do not distort, and readings that it rejects are removed. Data
     snooping follows, and removed readings are tested again against the network without them.
     """
+    limit = critical_w(int(problem.use.sum()))
     state, _ = reweighted(problem, state, int(problem.use.sum()), least=1e-3, steps=RELAXATIONS)
-    prediction = problem.model.linearised(state)
     try:
-        factor = BlockFactor(problem.system(state, prediction))
+        rejected = _rejected(problem, state, limit)
     except SingularSystemError:
         return problem, solve(problem, state)
-    limit = critical_w(int(problem.use.sum()))
-    w, scale, _ = _tested(problem, problem, prediction.readings, factor)
-    rejected: Bools = w > limit * scale
     tried: set[bytes] = set()
     placed, target = state.points, problem.model.recording.target
     while True:
@@ -259,6 +256,15 @@ def snoop_readings(
         rejected = new
         held = np.bincount(target, (problem.use & ~rejected).any(axis=1), len(placed)) > 0
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
+
+
+def _rejected(problem: NetworkProblem, state: State, limit: float) -> Bools:
+    """Readings (n, 3) in use whose test statistic is over `limit`; SingularSystemError where unknowns are open."""
+    prediction = problem.model.linearised(state)
+    readings, system = prediction.readings, problem.system(state, prediction)
+    del prediction
+    w, scale, _ = _tested(problem, problem, readings, BlockFactor(system))
+    return np.asarray(w > limit * scale)
 
 
 def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:

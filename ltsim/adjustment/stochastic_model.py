@@ -8,14 +8,13 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-import scipy.sparse as sp
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import FAR
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import State
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.solve.design import Design, median_deviation
+from ltsim.solve.design import median_deviation, weighted
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
@@ -100,22 +99,16 @@ def _searched(
         scale = min(scale, max(median_deviation(system.residual[:reading]), least))
         root = np.ones(len(system.residual))
         root[:count] = np.sqrt(weights(np.abs(system.residual[:count]) / scale))
-        weighted = _weighted(system.design, root)
+        design = weighted(system.design, root)
         try:
-            step = BlockFactor(BlockSystem(weighted, system.residual * root, system.n_reduced)).step()
+            step = BlockFactor(BlockSystem(design, system.residual * root, system.n_reduced)).step()
         except SingularSystemError:
             break
-        state = problem.retract(state, step)
-        if float(np.sum((weighted @ step) ** 2)) < STILL:
+        state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
+        del system, design  # before the next ones take as much memory
+        if length < STILL:
             break
     return state, problem.residual(state)
-
-
-def _weighted(design: Design, weight: Floats) -> Design:
-    """Design with its rows multiplied by weights (m,)."""
-    if isinstance(design, np.ndarray):
-        return np.asarray(design * weight[:, None])
-    return sp.csr_array(design.multiply(weight[:, None]))
 
 
 Grouping = Literal["observable", "instrument"]

@@ -5,8 +5,6 @@ whitened design). An error with the shift s of these rows moves the places by P 
 is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use these functions.
 """
 
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
@@ -16,18 +14,24 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.air import air_errors, turbulence_variance
 from ltsim.physics.effects.rays import bending
 from ltsim.recordings.air import Air
+from ltsim.solve.design import PIECE, Design, weighted
 
 TEMPERATURE, GRADIENT, TURBULENCE = "temperature of the air", "gradient of the air", "turbulence"
 
 
 def reach_of(adjustment: Adjustment, columns: Ints) -> Floats:
     """Displacement (m, k) of unknowns `columns` (k,) per unit of each whitened row of the adjustment."""
+    return np.asarray(adjustment.solution.system.design @ _covariance_columns(adjustment, columns))
+
+
+def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
+    """Covariance (u, k) of all unknowns with `columns` (k,), in the datum of the adjustment."""
     unit = np.zeros((adjustment.problem.unknowns.size, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
     spread = adjustment.factor.covariance_columns(unit)
     if adjustment.datum is not None:
         spread = spread - adjustment.datum.carried @ adjustment.datum.motion[columns].T
-    return np.asarray(adjustment.solution.system.design @ spread)
+    return np.asarray(spread)
 
 
 def counted_air(adjustment: Adjustment, air: Air | None = None) -> Air | None:
@@ -47,14 +51,32 @@ def air_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, 
 
     Each station has a temperature and a gradient, each reading a turbulence. `reach` (m, k) belongs to these unknowns.
     """
-    rows, columns, readings = _used(adjustment, reach)
-    scale = adjustment.problem.sigma[rows, columns]
-    common = readings * (air_errors(air, adjustment.sightings)[rows, columns] / scale[:, None]).T[:, None]
-    station = adjustment.recording.station[rows]
-    by_station = np.stack([common[..., station == s].sum(axis=-1) for s in np.unique(station)], axis=-1)
-    scatter = readings * (np.sqrt(turbulence_variance(air, adjustment.sightings)[rows, columns]) / scale)
-    responses = {TEMPERATURE: by_station[0], GRADIENT: by_station[1], TURBULENCE: scatter}
+    readings = reach[: int(adjustment.problem.use.sum())].T
+    common, station = _common_shifts(adjustment, air)
+    by_station = [
+        np.stack([readings[:, station == s] @ shift[station == s] for s in np.unique(station)], axis=-1)
+        for shift in common
+    ]
+    responses = dict(zip((TEMPERATURE, GRADIENT), by_station, strict=True))
+    responses[TURBULENCE] = readings * _turbulence_shifts(adjustment, air)
     return {name: response for name, response in responses.items() if np.any(response)}
+
+
+def _common_shifts(adjustment: Adjustment, air: Air) -> tuple[Floats, Ints]:
+    """Shifts (2, r) of the readings in use by the temperature and the gradient of a station, and their stations (r,).
+
+    One standard deviation of each; shifts are in standard deviations of the readings.
+    """
+    rows, columns = np.nonzero(adjustment.problem.use)
+    errors = air_errors(air, adjustment.sightings)[rows, columns]
+    return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
+
+
+def _turbulence_shifts(adjustment: Adjustment, air: Air) -> Floats:
+    """Standard deviation (r,) of the readings in use by turbulence, in standard deviations of these readings."""
+    rows, columns = np.nonzero(adjustment.problem.use)
+    variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
+    return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])
 
 
 def shared_air_errors(air: Air) -> tuple[str, str]:
@@ -71,45 +93,52 @@ def shared_air_errors(air: Air) -> tuple[str, str]:
 
 def common_responses(adjustment: Adjustment, reach: Floats, air: Air) -> dict[str, Floats]:
     """Displacements (k,) of unknowns by one standard deviation of each of the `shared_air_errors`."""
-    rows, columns, readings = _used(adjustment, reach)
-    shift = air_errors(air, adjustment.sightings)[rows, columns] / adjustment.problem.sigma[rows, columns][:, None]
-    return dict(zip(shared_air_errors(air), (readings @ shift).T, strict=True))
-
-
-def _used(adjustment: Adjustment, reach: Floats) -> tuple[Ints, Ints, Floats]:
-    """Row and observable of each reading in use, and the displacements (k, r) per unit of these readings."""
-    rows, columns = np.nonzero(adjustment.problem.use)
-    return rows, columns, reach[: len(rows)].T
+    shifts, _ = _common_shifts(adjustment, air)
+    return dict(zip(shared_air_errors(air), shifts @ reach[: shifts.shape[1]], strict=True))
 
 
 def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None) -> Floats:
-    """Covariance (c, k, k) of sets (c, k) of unknowns due to the air; zero for short ranges."""
-    counted = counted_air(adjustment, air)
-    added = np.zeros((*columns.shape, columns.shape[1]))
-    if counted is not None:
-        for batch, part in _batches(adjustment, columns):
-            added[batch] = _gram(air_responses(adjustment, part, counted), columns.shape[1])
+    """Covariance (c, k, k) of sets (c, k) of unknowns due to the air; zero for short ranges.
+
+    With C the covariance of the unknowns and S that of the shifts of the rows, it is C A' S A C: no matrix has the
+    readings for rows and the sets for columns.
+    """
+    counted, size = counted_air(adjustment, air), columns.shape[1]
+    added = np.zeros((*columns.shape, size))
+    if counted is None:
+        return added
+    unknowns, (common, turbulent) = adjustment.problem.unknowns.size, _air_normals(adjustment, counted)
+    step = max(1, AT_ONCE // (unknowns * size))
+    for first in range(0, len(columns), step):
+        batch = columns[first : first + step]
+        spread = _covariance_columns(adjustment, batch.ravel())
+        by_station = (common.T @ spread).T.reshape(len(batch), size, -1)
+        sets = spread.T.reshape(len(batch), size, unknowns)
+        scattered = (turbulent @ spread).T.reshape(sets.shape)
+        added[first : first + step] = by_station @ np.swapaxes(by_station, 1, 2) + sets @ np.swapaxes(scattered, 1, 2)
+    variance = np.einsum("cii->ci", added)
+    np.maximum(variance, 0.0, out=variance)  # rounding of what the datum holds
     return added
+
+
+def _air_normals(adjustment: Adjustment, air: Air) -> tuple[Floats, Design]:
+    """Right-hand sides (u, q) by the temperature and gradient of each station, and the matrix A' S A of turbulence."""
+    common, station = _common_shifts(adjustment, air)
+    turbulence, design = _turbulence_shifts(adjustment, air), adjustment.solution.system.design[: len(station)]
+    stations, right, turbulent = np.unique(station), [], []
+    for first in range(0, len(station), PIECE):
+        piece = slice(first, first + PIECE)
+        mine = np.where(station[piece] == stations[:, None], common[:, None, piece], 0.0)
+        right.append(design[piece].T @ mine.reshape(-1, mine.shape[2]).T)
+        scattered = weighted(design[piece], turbulence[piece])
+        turbulent.append(scattered.T @ scattered)
+    return np.asarray(sum(right)), sum(turbulent)
 
 
 def joint_air_covariance(adjustment: Adjustment, air: Air | None = None) -> Floats:
     """Covariance (3 T, 3 T) [m^2] of all targets due to the air; zero for short ranges."""
     columns = adjustment.problem.unknowns.target.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
-
-
-def _gram(responses: Mapping[str, Floats], size: int) -> Floats:
-    """Sum of the covariances (c, k, k) of responses (c k, q)."""
-    parts = [response.reshape(-1, size, response.shape[1]) for response in responses.values()]
-    return sum((part @ np.swapaxes(part, 1, 2) for part in parts), start=np.zeros(1))
-
-
-def _batches(adjustment: Adjustment, columns: Ints) -> Iterator[tuple[slice, Floats]]:
-    """Slices of sets (c, k) of unknowns with their displacements, as large as memory permits."""
-    step = max(1, AT_ONCE // (adjustment.solution.system.design.shape[0] * columns.shape[1]))
-    for first in range(0, len(columns), step):
-        batch = slice(first, first + step)
-        yield batch, reach_of(adjustment, columns[batch].ravel())
 
 
 def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict[str, float]:
@@ -119,15 +148,14 @@ def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict
     """
     chosen = air or adjustment.recording.setup.air or Air()
     targets = np.flatnonzero(~adjustment.problem.structure.unseen & ~adjustment.open_heights)
-    columns = adjustment.problem.unknowns.target[targets]
-    parts: dict[str, list[Floats]] = {name: [] for name in shared_air_errors(chosen)}
-    for _, reach in _batches(adjustment, columns):
-        for name, response in common_responses(adjustment, reach, chosen).items():
-            parts[name].append(response)
+    columns, (shifts, _) = adjustment.problem.unknowns.target[targets].ravel(), _common_shifts(adjustment, chosen)
+    right = np.asarray(adjustment.solution.system.design[: shifts.shape[1]].T @ shifts.T)
+    moved = adjustment.factor.covariance_columns(right)
+    if adjustment.datum is not None:
+        moved = moved - adjustment.datum.motion @ (adjustment.datum.carried.T @ right)
     motion = rigid_motion(adjustment.state.points[targets])
     sizes = {}
-    for name, responses in parts.items():
-        moved = np.concatenate(responses) if responses else np.zeros(0)
-        rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
+    for name, response in zip(shared_air_errors(chosen), moved[columns].T, strict=True):
+        rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]
         sizes[name] = float(np.sqrt(3.0 * np.mean(rest**2))) if len(rest) else 0.0
     return sizes

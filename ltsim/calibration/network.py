@@ -24,6 +24,7 @@ from ltsim.calibration.reported import reported, uncertainty_factor
 from ltsim.calibration.schema import Fit, VerdictEntry
 from ltsim.calibration.shrinkage import correction_of
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
+from ltsim.core.limits import CALIBRATED_POINTINGS
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import names
@@ -61,6 +62,7 @@ def calibrate_network(
     extra_effects : sequence of RequestedEffect
         Effects of the catalogue, and laws, to estimate too.
     """
+    recording.require_at_most(CALIBRATED_POINTINGS, "a calibration")
     built = construction or declared_construction(recording)
     chosen = choice or Choice()
     for wanted in extra_effects:

@@ -27,6 +27,7 @@ from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.calibration.prior_conflict import UNEXPLAINED, sigma0_of_readings
 from ltsim.calibration.schema import Correction
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.recordings.recording import Recording
@@ -98,7 +99,9 @@ def correction_of(
     not_applied = tuple(names[k] for k in gone)
     notes = [n for n in (evidence.doubt, note) if n]
     if not_applied:
-        notes.append(f"not applied, as held-out targets are predicted better without them: {', '.join(not_applied)}")
+        words, plural = listing([name.replace("-", " ") for name in not_applied]), len(not_applied) > 1
+        terms, they = ("terms", "they are") if plural else ("term", "it is")
+        notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     values = mean * held
     values[used] = spread @ applied
     correction = Correction(

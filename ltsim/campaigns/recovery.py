@@ -41,6 +41,7 @@ from ltsim.campaigns.schema import Errors, Whole
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
+from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import in_unit
 from ltsim.physics.effects.effect import Effect
@@ -55,6 +56,8 @@ MAX_FAILURES = 3
 """Number of trials without a result of an external calibrator after which the run ends: a command that does not work
 fails at once, and the check of convergence fails with the first.
 """
+MAX_NAMED = 3
+"""Parameters that a sentence names; the table and the file have all."""
 
 
 class Recovery(ResultFile):
@@ -150,8 +153,9 @@ class Recovery(ResultFile):
             sentences.insert(0, self.problem)
         if unchecked := self.unchecked:
             example = f"{option('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
+            several = f"{len(unchecked)} of {len(self.parameters)} parameters ({listing(unchecked, MAX_NAMED)}) are"
             sentences.append(
-                f"{', '.join(unchecked)} {'is' if len(unchecked) == 1 else 'are'} not checked: the calibrator does "
+                f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
                 f"not declare the standard deviation in every trial; let it declare one, or give a tolerance such as "
                 f"{example}, or {option('allow_unchecked=True')}"
             )

@@ -1,14 +1,15 @@
 """Command `convert`: conversion between formats of recordings."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import ANYWHERE, Force, check_file, check_recording
 from ltsim.cli.terminal import Terminal
-from ltsim.recordings import FORMATS, write
+from ltsim.recordings import FORMATS
 from ltsim.recordings.summary import summary
 
 WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
@@ -26,6 +27,7 @@ def convert(
     reading: FramedReading,
     force: Force = False,
     terminal: Terminal,
+    **options: Annotated[Any, "convert every"],
 ) -> None:
     """Read a recording in one format and write it in another.
 
@@ -39,7 +41,7 @@ def convert(
     (check_recording if to == "native" else check_file)(destination, force)
     recording = reading.of(source)
     terminal.notes(recording.notes)
-    write(recording, destination, to)
+    recording = lt.convert(recording, destination, to=to, **options)
     topics = summary(recording)
     terminal.answer({"pointings": len(recording), "notes": list(recording.notes), "summary": topics})
     terminal.say(recording.headline)

@@ -334,14 +334,13 @@ def function_options(function: str, wanted: list[str]) -> list[FunctionOption]:
 
     The source is parsed, not imported, so that help is fast.
     """
-    tree = ast.parse((Path(lt.__file__).parent / f"{lt._HOME[function].replace('.', '/')}.py").read_text("utf-8"))
+    tree = _source(lt._HOME[function])
     node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function)
     meanings = dict(_meanings(inspect.cleandoc(ast.get_docstring(node) or "")))
-    named = {ast.unparse(n.targets[0]): n.value for n in tree.body if isinstance(n, ast.Assign)}
     options = []
     for argument, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
         name, kind = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
-        value = named.get(default.id) if isinstance(default, ast.Name) else default
+        value = _constant(tree, default.id) if isinstance(default, ast.Name) else default
         if (wanted and name not in wanted) or name in PYTHON_ONLY or not isinstance(value, ast.Constant | ast.Tuple):
             continue
         of, text = meanings[name]
@@ -350,6 +349,21 @@ def function_options(function: str, wanted: list[str]) -> list[FunctionOption]:
             of, text = like[name].of, like[name].help
         options.append(FunctionOption(name, kind, ast.literal_eval(value), text.replace("`", ""), of))
     return options
+
+
+def _source(module: str) -> ast.Module:
+    """Syntax tree of a module of ltsim, named without the package."""
+    return ast.parse((Path(lt.__file__).parent / f"{module.replace('.', '/')}.py").read_text("utf-8"))
+
+
+def _constant(tree: ast.Module, name: str) -> ast.expr | None:
+    """Value of a constant that a module of ltsim defines or imports from another one."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
+            return node.value
+        if isinstance(node, ast.ImportFrom) and name in {alias.name for alias in node.names}:
+            return _constant(_source((node.module or "").removeprefix("ltsim.")), name)
+    return None
 
 
 def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:

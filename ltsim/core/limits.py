@@ -24,6 +24,14 @@ in a millisecond.
 CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
 
+ADJUSTED_POINTINGS = 50_000
+"""Pointings of a network that is adjusted or checked: each takes 4 to 7 kB and 0.5 ms, the libraries 130 MB, or with
+pictures 480 MB."""
+CALIBRATED_POINTINGS = 30_000
+"""Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
+DIAGNOSED_POINTINGS = 8_000
+"""Pointings of a network that is diagnosed, in half a minute: each meets the candidate causes, which takes 170 kB."""
+
 TOML_BYTES = 8 * MIB
 """Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
 TOML_DEPTH = 32

@@ -255,10 +255,11 @@ class Table(ValueEquality):
             if missing:
                 what = "is there twice" if missing[0] in names else "is missing"
                 raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
-            rows = list(reader)
+            return self.filled(
+                [_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(reader, 1)
+            )
         except csv.Error as problem:
             raise RecordError(f"is not CSV ({problem})", file=file) from None
-        return self.filled([_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(rows, 1))
 
     def numbers(self, *names: str) -> Floats:
         """The named columns as a float array (rows, columns)."""

@@ -4,7 +4,7 @@ import csv
 import difflib
 import io
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,6 +62,10 @@ BOUNDS = {
 OTHERS = ("k", "f", "pa", "bar", "inch")
 
 
+REPEATED = 10_000
+"""Texts of cells that are kept once where they occur again, such as names."""
+
+
 def recognises(path: Path, head: str) -> bool:
     """True for a recording folder or its `observations.csv`."""
     return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
@@ -92,10 +96,12 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
         raise SourceLocation(path, len(lines) - 1).error(
             "the file ends inside this row, without a line break, and is incomplete"
         )
-    rows: list[list[str]] = []
+    rows, texts = list[list[str]](), dict[str, str]()
     try:
-        for fields in csv.reader(lines, strict=True):
-            cells = [field.strip() for field in fields]
+        for fields in csv.reader(_released(lines), strict=True):
+            cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
+            if len(texts) < REPEATED:
+                texts.update(zip(cells, cells, strict=True))
             if any(cells):
                 if len(cells) > FIELDS:
                     raise SourceLocation(path, len(rows)).error(f"{len(cells)} columns, expected at most {FIELDS}")
@@ -107,6 +113,13 @@ def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     if len(rows) < 2:
         raise RecordError("contains only a header, expected one row per pointing", file=path)
     return rows
+
+
+def _released(lines: list[str]) -> Iterator[str]:
+    """The lines in order; each is removed from the list, so that their memory becomes free."""
+    lines.reverse()
+    while lines:
+        yield lines.pop()
 
 
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:

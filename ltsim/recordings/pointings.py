@@ -18,6 +18,7 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     SIGMA_UNITS,
     Recording,
+    repeats_of,
 )
 from ltsim.recordings.setup import Setup
 
@@ -127,7 +128,7 @@ def recording_of_columns(
         station=station,
         target=target,
         face=columns.face,
-        repeat=_repeats(station, target, columns.face),
+        repeat=repeats_of(station, target, columns.face),
         time=columns.time if has_clock else np.arange(len(station), dtype=np.float64),
         readings=columns.readings,
         covariates=dict(columns.covariates),
@@ -136,17 +137,6 @@ def recording_of_columns(
         notes=tuple(notes),
         sources=tuple(columns.sources) if all(columns.sources) else (),
     )
-
-
-def _repeats(station: Ints, target: Ints, face: Ints) -> Ints:
-    """Repeat number (n,), from 1, of each pointing among those of one station to one target on one face."""
-    order = np.lexsort((face, target, station))
-    keys = np.stack([station, target, face], axis=1)[order]
-    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
-    counts = np.diff(begins, append=len(order))
-    repeat = np.empty(len(order), dtype=np.int64)
-    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
-    return repeat
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError
+from ltsim.core.errors import ModelError, NetworkError, option
 from ltsim.core.results import Columns, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -58,6 +58,17 @@ def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevat
     constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
     across = np.maximum(np.abs(np.cos(elevation)), MIN_COSINE)
     return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
+
+
+def repeats_of(station: Ints, target: Ints, face: Ints) -> Ints:
+    """1, 2, ... for every further pointing of one station to one target on one face, (n,)."""
+    order = np.lexsort((face, target, station))
+    keys = np.stack([station, target, face], axis=1)[order]
+    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
+    counts = np.diff(begins, append=len(order))
+    repeat = np.empty(len(order), dtype=np.int64)
+    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
+    return repeat
 
 
 @dataclass(frozen=True, repr=False)
@@ -262,6 +273,23 @@ class Recording(Result):
             labels={name: tuple(column[i] for i in keep) for name, column in self.labels.items()},
             sources=tuple(self.sources[i] for i in keep) if self.sources else (),
         )
+
+    def thinned(self, every: int) -> Recording:
+        """The recording with one of `every` pointings of each sight: of a station to a target on a face."""
+        return self.select((repeats_of(self.station, self.target, self.face) - 1) % every == 0)
+
+    def require_at_most(self, pointings: int, work: str) -> None:
+        """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""
+        if len(self) <= pointings:
+            return
+        sights = np.unique(np.stack([self.station, self.target, self.face]), axis=1, return_counts=True)[1]
+        least, advice = -(-len(self) // pointings), "divide it by station or by time"
+        for every in (least, 2 * least, int(sights.max())):
+            count = int(np.sum(-(-sights // every)))
+            if count <= pointings:
+                advice = f"convert it with {option('every')} {every}, which leaves {count} of them"
+                break
+        raise NetworkError(f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}")
 
     def with_readings(self, readings: Floats) -> Recording:
         """Copy of the recording with other readings (n, 3)."""

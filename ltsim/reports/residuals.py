@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.calibration.arrays import residuals_table
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
@@ -103,8 +102,19 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
-        residuals = cls.from_table(residuals_table(adjustment))
-        return replace(residuals, covariates=_geometry(adjustment, residuals.row - 1))
+        recording, use = adjustment.recording, adjustment.problem.use
+        rows, observable = np.nonzero(use)
+        unit = np.array([FACTOR[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
+        return cls(
+            row=rows + 1,
+            station=np.array(recording.stations, dtype=np.str_)[recording.station[rows]],
+            target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
+            observable=observable,
+            residual=(adjustment.residuals / unit)[use],
+            w=adjustment.w[use],
+            redundancy=adjustment.redundancy[use],
+            covariates=_geometry(adjustment, rows),
+        )
 
     @classmethod
     def read(cls, file: Path) -> Residuals:

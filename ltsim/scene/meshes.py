@@ -7,6 +7,7 @@ way, are cast again here in double precision. Without it all are, which takes lo
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import blake2b
 from itertools import product
 from typing import Any
 
@@ -271,8 +272,23 @@ def walls(size: Floats) -> Floats:
 
 
 def joined_obstacles(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
-    """Obstacles from several sets of triangles, and a floor height."""
-    return Obstacles(np.concatenate([np.zeros((0, 3, 3)), *parts]), floor)
+    """Obstacles of several sets of triangles; those of the last call again where they are the same.
+
+    The rays of a large hall take 600 bytes a triangle, and memory that only the garbage collection frees.
+    """
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
+    key = blake2b(triangles.ravel().data).digest(), floor
+    latest = _LATEST.get(key)
+    if latest is None:
+        triangles.flags.writeable = False
+        latest = Obstacles(triangles, floor)
+        _LATEST.clear()
+        _LATEST[key] = latest
+    return latest
+
+
+_LATEST: dict[tuple[bytes, float], Obstacles] = {}
+"""Obstacles of the last call of `joined_obstacles`, by a digest of their triangles and the height of their floor."""
 
 
 def nest_places(

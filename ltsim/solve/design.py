@@ -4,7 +4,7 @@ Fixed tolerances decide which unknowns are undetermined, and not the failure of 
 pivots grow with the length of the null vector, so that for a doubtful direction the length of its image is computed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -14,6 +14,11 @@ from ltsim.core.arrays import Bools, Floats, Ints, median
 
 MAX_DENSE_ENTRIES = 600_000
 """Number of entries below which a design is dense, because sparse bookkeeping would cost more."""
+
+PIECE = 30_000
+"""Rows of a sparse design that are worked on at a time: the work copies them."""
+ENTRIES = 1_000_000
+"""Entries of a sparse design that are worked on at a time."""
 
 Design: TypeAlias = Floats | sp.csr_array
 
@@ -32,24 +37,30 @@ class Pattern:
 
     def __init__(self, columns: Sequence[Ints], size: int) -> None:
         widths = np.repeat([kind.shape[1] for kind in columns], [len(kind) for kind in columns])
-        indices = np.concatenate([kind.ravel() for kind in columns])
-        self._shape = len(widths), size
+        pointers = np.concatenate([[0], np.cumsum(widths)])
+        small = np.int32 if pointers[-1] < 2**31 else np.int64
+        indices = np.empty(int(pointers[-1]), dtype=small)
+        np.concatenate([kind.ravel() for kind in columns], out=indices, casting="same_kind")
+        self._shape, self._entries = (len(widths), size), len(indices)
         self._is_dense = len(widths) * size <= MAX_DENSE_ENTRIES
         if self._is_dense:
-            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices
+            self._places = np.repeat(size * np.arange(len(widths)), widths) + indices.astype(np.int64)
         else:
-            pointers = np.concatenate([[0], np.cumsum(widths)])
-            kind = np.int32 if pointers[-1] < 2**31 else np.int64
-            self._indices, self._pointers = indices.astype(kind), pointers.astype(kind)
+            self._indices, self._pointers = indices, pointers.astype(small)
 
-    def filled(self, values: Sequence[Floats]) -> Design:
-        """Design (m, size) with these values, which have the shape of `columns`."""
-        entries = np.concatenate([kind.ravel() for kind in values])
+    def filled(self, values: Iterable[Floats]) -> Design:
+        """Design (m, size) with these values, which have the shape of `columns`; each is copied in turn."""
+        entries, end = np.empty(self._entries), 0
+        for kind in values:
+            begin, end = end, end + kind.size
+            entries[begin:end] = kind.ravel()
         if self._is_dense:
             return np.bincount(self._places, entries, self._shape[0] * self._shape[1]).reshape(self._shape)
-        design = sp.csr_array((entries, self._indices, self._pointers), shape=self._shape, copy=True)
-        design.eliminate_zeros()  # what acts on one station or target is zero in most rows
-        return design
+        nonzero = entries != 0.0  # what acts on one station or target is zero in most rows
+        before = np.zeros(len(entries) + 1, dtype=self._pointers.dtype)
+        np.cumsum(nonzero, out=before[1:])
+        pointers = before[self._pointers]
+        return sp.csr_array((entries[nonzero], self._indices[nonzero], pointers), shape=self._shape)
 
 
 def as_dense(design: Design) -> Floats:
@@ -62,13 +73,39 @@ def column_scale(design: Design) -> Floats:
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
-        squares = np.bincount(design.indices, design.data**2, design.shape[1])
+        squares = np.zeros(design.shape[1])
+        for first in range(0, len(design.data), ENTRIES):
+            piece = slice(first, first + ENTRIES)
+            squares += np.bincount(design.indices[piece], design.data[piece] ** 2, design.shape[1])
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
 def scaled(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
     """Rows with every column multiplied by its scale."""
     return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
+
+
+def pieces(design: sp.csr_array, scale: Floats) -> Iterator[sp.csr_array]:
+    """Rows of a sparse design, some at a time, with every column times its scale."""
+    for first in range(0, design.shape[0], PIECE):
+        yield scaled(design[first : first + PIECE], scale)
+
+
+def gram_of(parts: Iterable[sp.csr_array], size: int) -> sp.csr_array:
+    """Product A' A (size, size) of a sparse design of which `parts` are the rows."""
+    total = sp.csr_array((size, size))
+    for part in parts:
+        total = total + sp.csr_array(part.T @ part)
+    return sp.csr_array(total)
+
+
+def weighted(design: Design, weight: Floats) -> Design:
+    """A design with its rows times weights (m,)."""
+    if isinstance(design, np.ndarray):
+        return np.asarray(design * weight[:, None])
+    data = np.repeat(weight, np.diff(design.indptr))
+    data *= design.data
+    return sp.csr_array((data, design.indices, design.indptr), design.shape)
 
 
 DOUBTFUL_PIVOT = 1e-8

@@ -24,7 +24,16 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.solve.chain import BlockChain, inverse_of
-from ltsim.solve.design import DOUBTFUL_PIVOT, RANK_TOLERANCE, Design, column_scale, scaled, unit_diagonal
+from ltsim.solve.design import (
+    DOUBTFUL_PIVOT,
+    RANK_TOLERANCE,
+    Design,
+    column_scale,
+    gram_of,
+    pieces,
+    scaled,
+    unit_diagonal,
+)
 from ltsim.solve.threads import single_threaded
 
 
@@ -82,8 +91,8 @@ class SparseElimination:
 
     def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
         self.scale = column_scale(design)
-        self._design, self._n_reduced = scaled(design, self.scale), n_reduced
-        normal = sp.csr_array(self._design.T @ self._design)
+        self._design, self._n_reduced = design, n_reduced
+        normal = gram_of(pieces(design, self.scale), design.shape[1])
         count = (normal.shape[0] - n_reduced) // 3
         blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], count) + damping * np.eye(3)
         self._inverse, self._least = block_inverse(blocks)
@@ -137,22 +146,28 @@ class SparseElimination:
         """
         blocks, leverage = self._inverse.copy(), np.zeros(self._design.shape[0])
         order, edges, back = _by_block(self._design, self._n_reduced, len(blocks))
-        front, carries = sp.csr_array(self._design[order][:, : self._n_reduced]), sp.csr_array(self._carry.T)
-        for g, (low, high) in enumerate(pairwise(edges.tolist())):
+        scale, carries = self.scale[self._n_reduced :].reshape(-1, 3), sp.csr_array(self._carry.T)
+        for g, mine, front in self._groups(order, edges):
             if g < len(blocks):
                 carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
-                behind = back[order[low:high]]
-                leverage[order[low:high]] = np.sum((behind @ self._inverse[g]) * behind, axis=1)
-                reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
+                behind = back[mine] * scale[g]
+                leverage[mine] = np.sum((behind @ self._inverse[g]) * behind, axis=1)
+                reduced = dense_rows(front, 0, len(mine), columns)[0] * self.scale[columns] - behind @ carry
             else:
-                carry, (reduced, columns) = None, dense_rows(front, low, high)
+                carry, (reduced, columns) = None, dense_rows(front, 0, len(mine))
+                reduced = reduced * self.scale[columns]
             window = self._chain.windows[int(self._lowest(columns, axis=0))]
             at = window.place[columns]
             inverse = window.inverse[at[:, None], at]
-            leverage[order[low:high]] += np.sum((reduced @ inverse) * reduced, axis=1)
+            leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
             if carry is not None:
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
+
+    def _groups(self, order: Ints, edges: Ints) -> Iterator[tuple[int, Ints, sp.csr_array]]:
+        """Number of each group of rows, its rows, and these in the reduced columns; order and edges of `_by_block`."""
+        for g, (low, high) in enumerate(pairwise(edges.tolist())):
+            yield g, order[low:high], sp.csr_array(self._design[order[low:high]][:, : self._n_reduced])
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """Matrices R N^-1 R' for groups R of neighbouring rows; only the needed parts of the inverse are used."""

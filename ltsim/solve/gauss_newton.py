@@ -109,6 +109,7 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30) -> Solution[X]:
             if final is not None:
                 x, system = final
                 return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
+        del factor  # two designs are enough in memory
         ahead, whole = problem.linearise(trial), damping < NEGLIGIBLE_DAMPING
         if ahead.cost <= system.cost * (1 + 1e-12) + TOLERANCE or (whole and length < ROUNDING_LENGTH):
             x, system = trial, ahead

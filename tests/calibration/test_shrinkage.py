@@ -159,6 +159,8 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     found = lt.calibrate(recording.with_readings(readings), advise=False)
     assert found.correction is not None
     assert found.correction.not_applied
+    words = found.correction.not_applied[0].replace("-", " ")
+    assert any("predicted better without the term" in s and words in s for s in found.correction.sentences)
     at = [found.names.index(name) for name in found.correction.not_applied]
     assert np.all(found.applied[0, at] == 0.0)
     assert np.any(found.values[0, at] != 0.0)

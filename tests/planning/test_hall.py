@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 import ltsim as lt
 from ltsim.cli.main import run
@@ -23,6 +24,7 @@ from ltsim.scene.floor import Floor, areas_and_keep_outs, inside, may_stand, out
 from ltsim.scene.meshes import cylinder, joined_obstacles
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.workshop import planned, sight_limits
+from tests.recordings.test_limits import VERB, means
 
 HALL = """format = "ltsim-plan/1"
 title = "Hall 3"
@@ -319,3 +321,17 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
         "",
         "M1, M2, M3",
     ]
+
+
+@pytest.mark.long
+def test_a_hall_of_196608_triangles_takes_500_mb_and_30_s(tmp_path: Path) -> None:
+    body = trimesh.creation.box(extents=[2500, 1500, 2200])
+    for _ in range(7):
+        body = body.subdivide()
+    body.export(tmp_path / "body.stl")
+    (tmp_path / "points.csv").write_text(points_csv())
+    plan = tmp_path / "plan.toml"
+    plan.write_text(HALL.replace("box_mm = [2500, 1500, 2200]", 'file = "body.stl"').replace("4000, 0]", "4000, 1100]"))
+    used = means(VERB, "plan", str(plan), "--jobs", "1", "--json")
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 30

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.core.errors import LtsimError, ModelError, RecordError
-from ltsim.core.limits import JSON_VALUES, TOML_KEYS, XML_TAGS
+import ltsim as lt
+from ltsim.core.errors import LtsimError, ModelError, NetworkError, RecordError
+from ltsim.core.limits import ADJUSTED_POINTINGS, CALIBRATED_POINTINGS, JSON_VALUES, TOML_KEYS, XML_TAGS
 from ltsim.recordings import read
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import read_lines
@@ -238,3 +239,82 @@ def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
     used = means(READS, str(monitoring(400_000, tmp_path / "a.csv")))
     assert used.ru_maxrss < 400 * 1024
     assert used.ru_utime + used.ru_stime < 10
+
+
+VERB = "import sys; from ltsim.cli.main import run; sys.exit(run(sys.argv[1:]))"
+LARGEST = {"adjust": ADJUSTED_POINTINGS, "check": ADJUSTED_POINTINGS, "calibrate": CALIBRATED_POINTINGS}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("verb", LARGEST)
+def test_largest_recording_of_a_verb_takes_500_mb_and_30_s(verb: str, tmp_path: Path) -> None:
+    used = means(VERB, verb, str(noisy_monitoring(LARGEST[verb], tmp_path)))
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 30
+
+
+@pytest.mark.long
+def test_report_of_a_large_recording_takes_100_mb_more_than_of_a_small_one(tmp_path: Path) -> None:
+    """The 3D view takes 480 MB whatever it shows."""
+    peaks = [
+        means(VERB, "report", str(noisy_monitoring(rows, tmp_path / str(rows)))).ru_maxrss
+        for rows in (2_000, ADJUSTED_POINTINGS)
+    ]
+    assert peaks[1] - peaks[0] < 100 * 1024
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("verb", ["adjust", "check", "calibrate", "diagnose", "evaluate", "report", "convert"])
+def test_400000_pointings_are_used_or_refused_before_the_work(verb: str, tmp_path: Path) -> None:
+    folder = noisy_monitoring(400_000, tmp_path)
+    used = means(VERB, verb, str(folder), *([str(tmp_path / "out")] if verb == "convert" else []))
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 20
+
+
+MAKES = "import sys; from tests.recordings.test_limits import write_noisy; write_noisy(int(sys.argv[1]), sys.argv[2])"
+
+
+def noisy_monitoring(rows: int, folder: Path) -> Path:
+    """Folder of the recording of `monitoring`, whose readings scatter as declared.
+
+    A process of its own makes it: the memory of this one would count for the processes that it starts.
+    """
+    folder.mkdir(exist_ok=True)
+    means(MAKES, str(rows), str(folder))
+    return folder / "recording"
+
+
+def write_noisy(rows: int, folder: str) -> None:
+    recording = read(monitoring(rows, Path(folder, "a.csv")))
+    noise = np.random.default_rng(7).normal(size=recording.readings.shape) * recording.sigma()
+    lt.write(recording.with_readings(recording.readings + noise), Path(folder, "recording"))
+
+
+def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    whole = recording.select(np.repeat(np.arange(len(recording)), 3))
+    with pytest.raises(
+        NetworkError, match="holds 420 pointings; an adjustment takes at most 100: divide it by station"
+    ):
+        lt.adjust(whole)
+    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 200)
+    with pytest.raises(
+        NetworkError, match=r"holds 420 pointings; an adjustment takes at most 200: convert it .*every 3"
+    ):
+        lt.adjust(whole)
+    thinned = lt.convert(whole, tmp_path / "thinned", every=3)
+    assert np.array_equal(thinned.readings, recording.readings)
+    assert len(lt.adjust(thinned).targets) == 28
+
+
+def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> None:
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    whole = recording.select(np.tile(np.arange(len(recording)), 5))
+    thinned = whole.thinned(2)
+    assert len(thinned) == 3 * len(recording)
+    assert len(whole.thinned(9)) == len(recording)
+    assert np.array_equal(thinned.readings[-len(recording) :], recording.readings)

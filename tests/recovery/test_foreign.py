@@ -144,6 +144,17 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     assert nothing.verdict() == "no parameter is checked" and not nothing.passed
 
 
+def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
+    values = dict.fromkeys(("beam-tilt", "transit-tilt", "range-offset", "range-scale"), (0.0, None))
+    units = dict(zip(values, ("urad", "urad", "um", "ppm"), strict=True))
+    silent = {name: (*given, units[name]) for name, given in values.items()}
+    found = lt.recover("paper-workshop", trials=2, calibrator=lambda recording: silent)
+    sentence = found.problems()[-1]
+    assert len(found.unchecked) == 4
+    assert sentence.startswith("4 of 4 parameters (")
+    assert " and 1 more) are not checked: the calibrator does not declare" in sentence
+
+
 def test_a_sigma_in_a_part_of_the_trials_is_none() -> None:
     sigmas = iter([3.0, None, 3.0])
     found = lt.recover(SCENE, trials=3, calibrator=lambda recording: {"beam-tilt": (8.0, next(sigmas), "urad")})

@@ -99,6 +99,17 @@ def test_turned_and_moved() -> None:
     assert not turned.blocked(np.array([[1.5, -3.0, 1.0]]), np.array([[1.5, 4.0, 1.0]])).any()
 
 
+def test_the_same_hall_is_built_once() -> None:
+    """Its rays take 600 bytes a triangle, and every step of a plan asks for it."""
+    column, table = box(np.array([0.3, 0.3, 3.0])), box(np.array([2.0, 1.0, 0.8]))
+    hall = joined_obstacles([column, table])
+    assert joined_obstacles([column.copy(), table]) is hall
+    assert joined_obstacles([column, table], floor=1.0) is not hall
+    assert len(joined_obstacles([column]).triangles) == len(column)
+    with pytest.raises(ValueError, match="read-only"):
+        hall.triangles[0] = 0.0
+
+
 def test_nothing_blocks_nothing() -> None:
     empty = joined_obstacles([])
     assert not empty.blocked(np.zeros((2, 3)), np.ones((2, 3))).any()

@@ -20,6 +20,7 @@ from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.adjustment.station_motions import Motion, SuddenMotion
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
@@ -120,11 +121,14 @@ class Selection:
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """Motions of stations beyond doubt, for an adjustment that is not made with all selected hypotheses."""
+        """Motions beyond doubt, the surest of each station, for an adjustment without the other hypotheses."""
         sure = [c.hypothesis.change for c in self.choices if c.gain > BEYOND_DOUBT]
-        effects = [change.effect for change in sure if isinstance(change, Shift)]
-        sudden = (SuddenMotion(e.stations, time=e.time) if isinstance(e, StationBump) else e for e in effects)
-        return tuple(motion for motion in sudden if isinstance(motion, Motion))
+        motions: dict[tuple[str, ...], Motion] = {}
+        for effect in (change.effect for change in sure if isinstance(change, Shift)):
+            motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
+            if isinstance(motion, Motion):
+                motions.setdefault(motion.stations, motion)
+        return tuple(motions.values())
 
     @property
     def explains(self) -> bool:
@@ -198,7 +202,11 @@ def _agrees(fit: Fit) -> bool:
 def identified(
     recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
 ) -> Selection | None:
-    """Simple causes of a recording, by default with instrument errors in the model; None if it is no network."""
+    """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
+
+    NetworkError where it holds too many pointings.
+    """
+    recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
     try:
         return select(Network(recording, construction or declared_construction(recording), prior))
     except LtsimError:

@@ -192,10 +192,12 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
         Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
-    blocks = workshop_blocks(lambda: from_adjustment(full, plain=plain), detail)
+    workshop = from_adjustment(full, plain=plain) if detail != "none" else None
     if not brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
         last = [*residual_blocks(after, before), *last]
+    del plain, full  # whose designs take more memory than all pictures
+    blocks = workshop_blocks(lambda: workshop, detail) if workshop is not None else []
     answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
     return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
 
