@@ -120,7 +120,7 @@ def test_changes_of_a_scenario_are_checked(tmp_path: Path):
     assert lt.scenario("paper-workshop", {"work.faces": 2}).work.faces == 2
     with pytest.raises(SetupError, match=r"work\.faces"):
         lt.scenario("paper-workshop", {"work.faces": 3})
-    with pytest.raises(SetupError, match="no table"):
+    with pytest.raises(SetupError, match="not a table"):
         lt.scenario("paper-workshop", {"work.faces.first": 1})
 
 

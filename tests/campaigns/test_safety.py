@@ -111,7 +111,7 @@ def test_beginning_anew_takes_a_word(file: Path, tmp_path: Path) -> None:
     assert Results(out).manifest.seed == 6
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "campaign.toml").write_text("mine")
-    with pytest.raises(SetupError, match=r"holds campaign\.toml but no campaign.*--force"):
+    with pytest.raises(SetupError, match=r"contains campaign\.toml but no campaign.*--force"):
         run_campaign(file, tmp_path / "mine")
     assert [p.name for p in (tmp_path / "mine").iterdir()] == ["campaign.toml"]
 

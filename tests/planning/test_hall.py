@@ -104,13 +104,13 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("[11400, 2800], [600, 2800]]", "[600, 2800], [11400, 2800]]", "floor.areas.1.corners_mm is no outline:"),
+        ("[11400, 2800], [600, 2800]]", "[600, 2800], [11400, 2800]]", "floor.areas.1.corners_mm is not an outline:"),
         ("[11400, 600], [11400, 2800]", "[12400, 600], [11400, 2800]", "has the corner (12400, 600), outside the room"),
         ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but heads are at 1400"),
         ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the workshop"),
         ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
-        ('points = "points.csv"', "", "holds 0 reflectors"),
+        ('points = "points.csv"', "", "has 0 reflectors"),
         ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.hours"),
         ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
     ],

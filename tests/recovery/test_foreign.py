@@ -94,7 +94,7 @@ def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
     assert "0,beam-tilt,urad,8.0,8.0,," in (tmp_path / "out" / "trials.csv").read_text()
     answer["parameters"][0]["unit"] = "furlong"
     program.write_text(text.format(json.dumps(answer)))
-    assert run(command) == 2 and "'furlong' is no unit" in capfd.readouterr().err
+    assert run(command) == 2 and "'furlong' is not a unit" in capfd.readouterr().err
     program.write_text("raise SystemExit('my own reason')")
     assert run([*command, "-q"]) == 1
     said = capfd.readouterr().err
