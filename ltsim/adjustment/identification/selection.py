@@ -187,8 +187,8 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
 def _at_best_moment(fit: Fit) -> Fit:
     """Fit with the best moment of a station's motion that was accepted last, if any.
 
-    The score of a moment is linear. A large motion distorts the network in which it is computed, so that the moment with
-    the best score may be several pointings off; the readings between would then look like further causes.
+    The score of a moment is linear. A large motion distorts the network in which it is computed, so that the moment
+    with the best score may be several pointings off; the readings between would then look like further causes.
     """
     *others, last = fit.hypotheses
     bump = last.change.effect if isinstance(last.change, Shift) else None
