@@ -169,16 +169,25 @@ def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
     right.spines["right"].set_visible(False)
 
 
+LEGEND_LINE = 0.2
+"""Height [inch] of a line of a legend."""
+
+
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
-    """Add a common legend above all panels, each label once."""
+    """Add a common legend above all panels, each label once; long labels, which could fill the figure, are shortened."""
     handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    columns = columns_for(list(handles), ncols)
-    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=columns)
+    labels = [shorten(label) for label in handles]
+    figure.legend(list(handles.values()), labels, ncols=columns_for(labels, ncols), loc="outside upper left")
 
 
 def columns_for(labels: Sequence[str], most: int) -> int:
     """Number of legend columns that fit the longest label, at most `most`."""
     return max(1, min(most, LINE // (max(map(len, labels), default=0) + HANDLE)))
+
+
+def legend_height(labels: Sequence[str], most: int) -> float:
+    """Height [inch] of a legend of labels in at most `most` columns."""
+    return LEGEND_LINE * -(-len(labels) // columns_for([shorten(label) for label in labels], most))
 
 
 def shorten(name: str, most: int = 34) -> str:

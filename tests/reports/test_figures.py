@@ -424,6 +424,13 @@ def test_a_legend_of_long_names_of_stations_leaves_room_for_the_axes() -> None:
     assert all(ax.get_position().width > 0.7 for ax in figure.axes)
 
 
+@pytest.mark.parametrize("words", [1, 4, 40])
+def test_a_budget_of_long_names_of_sources_leaves_room_for_the_axes(words: int) -> None:
+    figure = estimates.budget_figure(["length"], {f"{'certificate ' * words}{i}": [0.1] for i in range(9)})
+    style.svg(figure)
+    assert all(ax.get_position().height > 0.2 for ax in figure.axes)
+
+
 def lightness_and_hue(colour: str, sight: np.ndarray) -> np.ndarray:
     """CIE Lab of a colour as an eye with a deficiency sees it."""
     rgb = np.array(mpl.colors.to_rgb(colour))

@@ -195,7 +195,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     rows = {name: np.asarray(shares[name], dtype=np.float64) for name in largest}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
-    figure, ax = style.panel(0.75 + 0.21 * max(len(names), 3))
+    figure, ax = style.panel(0.55 + 0.21 * max(len(names), 3) + style.legend_height(list(rows), 2))
     places = style.category_rows(ax, list(names))
     start = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
