@@ -174,7 +174,7 @@ LEGEND_LINE = 0.2
 
 
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
-    """Add a common legend above all panels, each label once; long labels, which could fill the figure, are shortened."""
+    """Add a common legend above all panels, each label once; long labels are shortened."""
     handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     labels = [shorten(label) for label in handles]
     figure.legend(list(handles.values()), labels, ncols=columns_for(labels, ncols), loc="outside upper left")
