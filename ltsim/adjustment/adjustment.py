@@ -284,11 +284,11 @@ class Adjustment(Result):
         rows, columns = np.nonzero(flagged)
         unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
         outliers = iterative_snooping(
-            whitened[flagged], self._shown(rows, columns), scale[flagged], dof[flagged], count, level
+            whitened[flagged], self._redundancy_block(rows, columns), scale[flagged], dof[flagged], count, level
         )
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
-    def _shown(self, rows: Ints, columns: Ints) -> Floats:
+    def _redundancy_block(self, rows: Ints, columns: Ints) -> Floats:
         """Effect (k, k) of an error of each of some readings in use on the residuals of all of them, in sigmas.
 
         More than `MAX_TESTED_JOINTLY` readings are treated independently.

@@ -114,7 +114,7 @@ class ControlRows:
         return int(self.axes.sum())
 
     def no_finer(self, floor: float) -> ControlRows:
-        """Rows whose standard deviations are at least `floor` [m]."""
+        """The same rows with smaller standard deviations raised to `floor` [m]."""
         roots = self.root.copy()
         for i, axes in enumerate(self.axes):
             at = np.ix_(axes, axes)
@@ -261,7 +261,7 @@ class LevelRows:
         return len(self.station)
 
     def no_finer(self, turn: float) -> LevelRows:
-        """Rows whose standard deviations are at least `turn` [rad]."""
+        """The same rows with smaller standard deviations raised to `turn` [rad]."""
         return self if np.all(self.sigma >= turn) else replace(self, sigma=np.maximum(self.sigma, turn))
 
     def predict(self, rotation: Floats) -> Floats:
@@ -296,7 +296,7 @@ class YawRows:
         return len(self.station)
 
     def no_finer(self, turn: float) -> YawRows:
-        """Rows whose standard deviations are at least `turn` [rad]."""
+        """The same rows with smaller standard deviations raised to `turn` [rad]."""
         return self if np.all(self.sigma >= turn) else replace(self, sigma=np.maximum(self.sigma, turn))
 
     def residual(self, rotation: Floats) -> Floats:

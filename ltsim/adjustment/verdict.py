@@ -74,7 +74,9 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
         sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because a sum over many "
         return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly changes by a few outliers.", False)
     if sigma0 < low and dof < FEW:
-        sentence = f"Trust the declared noise: {shown} is smaller, but not significantly for few degrees of freedom."
+        sentence = (
+            f"Trust the declared noise: {shown} is below that range, but few degrees of freedom support no other."
+        )
         return Verdict(Agreement.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (

@@ -90,7 +90,7 @@ def _growth(history: CalibrationSeries) -> Floats:
 
 
 def _steps(difference: Floats, sigma: Floats, growth: Floats, level: float) -> list[tuple[int, float, float]]:
-    """Significant steps of one parameter at a level, from steps (K - 1,): index, usual size, p-value."""
+    """Steps (K - 1,) of one parameter between calibrations that are significant: index, usual size, p-value."""
     usual: Bools = np.ones(len(difference), dtype=bool)
     significant: list[tuple[int, float, float]] = []
     while usual.sum() > LEAST_STEPS - 1:

@@ -20,7 +20,7 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Writing of `calibration.json` and `targets.csv`, and with a network of residuals and covariance, into a folder.
+    """Writing of `calibration.json`, `targets.csv` and, if there is a network, residuals and covariance into a folder.
 
     Returns the calibration with the digests of its files.
 

@@ -148,7 +148,7 @@ class StationPose(Entry):
 
 
 class AxesEntry(Entry):
-    """Standard deviations of axes defined by declared coordinates, from their misfit to the network."""
+    """Standard deviations of the coordinate system that known points define, from their misfit to the network."""
 
     targets: tuple[str, ...]
     """Names of the targets whose coordinates define the axes."""

@@ -161,7 +161,7 @@ def _keys(truth: CellTruth) -> Ints:
 
 @dataclass(frozen=True)
 class StackCalibrator(Calibrator):
-    """Calibrator of a stack: all trials in a batch, those that fail there or have no batch method one by one."""
+    """Calibrator of trials of one geometry, in a batch; those that fail there or have no batch method one by one."""
 
     truth: GeometryStack
     asked: Method = field(default_factory=Method)

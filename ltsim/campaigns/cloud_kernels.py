@@ -75,7 +75,7 @@ def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
     for a in range(3):
         turn[a, a, :] = 1.0
     for _ in range(TURNS):
-        _turn_towards(k, more)
+        _rotation_step(k, more)
         _turn_by(more, k)
         _turn_by(more, turn)
     for i in range(len(source)):
@@ -88,7 +88,7 @@ def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
 
 
 @compiled
-def _turn_towards(k: Floats, more: Floats) -> None:
+def _rotation_step(k: Floats, more: Floats) -> None:
     """Newton step `more` of the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
     for t in range(k.shape[2]):
         trace = k[0, 0, t] + k[1, 1, t] + k[2, 2, t]

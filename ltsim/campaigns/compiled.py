@@ -46,7 +46,7 @@ def at(value: Floats | float, trial: int) -> float:
 
 @overload(at, strict=False)
 def _at(value: object, trial: object) -> Callable[..., object]:
-    """Implementation for the type of the value, chosen when a kernel is compiled, without run-time cost."""
+    """Compiled form of `at`: a scalar itself, or the entry of an array for the trial."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

@@ -247,7 +247,7 @@ class Statistics:
         """Mean, standard deviation and quantiles of a column in every cell and for every method."""
         name = self._quoted(column)
         if column in SHARES:
-            return self._shares(column)
+            return self._ratios_of_means(column)
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
         kind = "quantile_cont" if size <= MAX_EXACT else "approx_quantile"
         what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
@@ -263,7 +263,7 @@ class Statistics:
             self._cache[sql] = self.query(sql)
         return self._cache[sql]
 
-    def _shares(self, column: str) -> list[Spread]:
+    def _ratios_of_means(self, column: str) -> list[Spread]:
         """Ratios of means with confidence intervals (delta method)."""
         gained, correctable = terms_of(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"

@@ -185,7 +185,7 @@ class CellTruth:
         return TrialBatch(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
 
     def _with_mistakes(self, draw: Draw) -> Floats:
-        """Readings minus nominal readings (n, 3, B), trial by trial as the simulator computes them."""
+        """Readings minus nominal readings (n, 3, B) of B trials with blunders, as the simulator computes them."""
         assert self.work is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):

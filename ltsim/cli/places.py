@@ -55,7 +55,7 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bo
     for place, name in names.items():
         folder = str(Path(place).parent)
         if folder in names and Path(place).name in _names_of_results():
-            raise SetupError(f"{name} names {place}, which {names[folder]} may write; choose another name")
+            raise SetupError(f"{name}: a result of {names[folder]} could overwrite {place}; choose another name")
 
 
 def _names_of_results() -> set[str]:

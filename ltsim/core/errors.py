@@ -92,7 +92,7 @@ class ConvergenceError(LtsimError):
 
 MAX_NAME_LENGTH = 60
 """Largest number of characters of a name that is quoted in a message; longer names are shortened."""
-_SPELLED = {"flags": False}
+_AS_FLAGS = {"flags": False}
 SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
 """Command-line spelling of the options that are not named like their Python parameter."""
 
@@ -100,16 +100,16 @@ SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "ca
 @contextmanager
 def options_are_flags() -> Iterator[None]:
     """Context in which `option` spells names as flags of the command line."""
-    before, _SPELLED["flags"] = _SPELLED["flags"], True
+    before, _AS_FLAGS["flags"] = _AS_FLAGS["flags"], True
     try:
         yield
     finally:
-        _SPELLED["flags"] = before
+        _AS_FLAGS["flags"] = before
 
 
 def option(name: str) -> str:
     """Spelling of an option for the reader: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
-    if not _SPELLED["flags"]:
+    if not _AS_FLAGS["flags"]:
         return name
     return SPECIAL.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
 

@@ -56,7 +56,7 @@ class Detection:
 
 
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
-    """Test a residual space against all hypotheses at once."""
+    """Joint test of the residuals of an adjustment against all effects, laws and changes of the noise."""
     space = searcher.space
     noise_evidence = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
     simulated = noise.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)

@@ -29,7 +29,7 @@ PATTERN = 2
 
 
 def mistakes_in(selection: Selection) -> list[Hypothesis]:
-    """Hypotheses of a selection with which a network is adjusted before the search for effects.
+    """Mistakes of a recording, among the selected hypotheses, that are corrected before the search for effects.
 
     These are wrongly recorded rows and contradicting reference values with sufficient evidence. Shifts are included
     only if one of them is gross, which no effect in first order explains: then all of them, since each was tested given
@@ -55,7 +55,7 @@ def single_errors(fit: Fit) -> Bools:
 
 
 def agreeing(adjustment: Adjustment, omitted: Bools) -> Bools:
-    """Flags (n, 3) of the omitted readings that agree with an adjustment and are no errors with its effects."""
+    """Flags (n, 3) of the omitted readings whose residual is small with the effects of an adjustment."""
     whitened = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return omitted & (whitened < AGREES)
 

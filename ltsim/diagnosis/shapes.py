@@ -143,7 +143,7 @@ def centre_estimates(exact: EvidenceCalculator, effect: Tunable, base: Model) ->
 def shape_posterior(
     exact: EvidenceCalculator, effect: Tunable, base: Model, estimates: Sequence[Estimate]
 ) -> dict[str, Estimate]:
-    """Means and standard deviations of parameters and constants over all shapes, grid finest at `estimates`.
+    """Posterior means and standard deviations, averaged over a grid of shape constants that is densest at `estimates`.
 
     Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
     for effects without shape constants.

@@ -297,7 +297,7 @@ def exchange_note(names: Sequence[str], order: Ints) -> str:
 
 
 def datum_note(count: int) -> str:
-    """Sentence on covariances with free motions."""
+    """Note that `count` motions of the whole network are undetermined, and what was done."""
     return (
         f"the covariances leave {count} motions of the whole network open (free networks): the second epoch is aligned "
         "with the first along them"

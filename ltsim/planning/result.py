@@ -123,7 +123,7 @@ class Plan(ResultFile, LayoutEntry):
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "stations": self._stations,
-            "reflectors": self._reflectors,
+            "reflectors": self._reflector_table,
             "tolerances": self._tolerances,
             "losses": self._losses,
             "tradeoff": lambda: tables.TRADEOFF.filled(self.tradeoff),
@@ -141,7 +141,7 @@ class Plan(ResultFile, LayoutEntry):
             for s in self.stations
         )
 
-    def _reflectors(self) -> Table:
+    def _reflector_table(self) -> Table:
         return tables.REFLECTORS.filled(
             [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
              " ".join(r.visible_from)]

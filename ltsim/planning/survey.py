@@ -63,7 +63,8 @@ class Survey:
         as_floats(self.yaw, (stations,), "yaw")
         as_floats(self.points, (targets, 3), "points")
         if self.visible.shape != (stations, targets):
-            raise SetupError(f"seen has shape {self.visible.shape}, expected {(stations, targets)}")
+            entries = " x ".join(map(str, self.visible.shape))
+            raise SetupError(f"the table of visibility has {entries} entries, expected {stations} x {targets}")
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 

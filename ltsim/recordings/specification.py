@@ -126,7 +126,7 @@ class Specification(TomlSection):
 
     @property
     def assumption(self) -> str:
-        """Sentence on the assumptions of `instrument`."""
+        """Sentence on how the limits of the data sheet become standard deviations."""
         return (
             f"a limit is taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
             "noise and the rest as constants of the instrument"

@@ -202,7 +202,7 @@ def evaluate(
     shift: Floats | None = None,
     use: Bools | None = None,
 ) -> CriteriaEntry:
-    """Criteria of a recording, before and after correction by parameters (p,) or (n, p) [SI] of a construction.
+    """The paper's criteria of a recording, before and after correction by parameters (p,) or (n, p) [SI].
 
     `shift` (n, 3) [m, rad, rad] is the change of the readings by estimated effects, which "after" subtracts. Faces and
     repeats of the pointings in use (n,) are averaged by station and target. Raises NetworkError if fewer than two

@@ -129,7 +129,9 @@ def _set_up(
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = declared_construction(recording)
     visit = StationOccupation.of(recording, construction)
-    judged = _test_setup(visit, construction, family, rows) if visit.dof > 0 else SetUpTests((), visit, (), recording)
+    judged = SetUpTests((), visit, (), recording)
+    if visit.dof > 0:
+        judged = _tests_of_set_up(visit, construction, family, rows)
     two_faced, motionless = paired.select(at), judged.motion_corrected.readings
     motionless = np.where(np.isnan(motionless), two_faced.readings, motionless)
     items, faces = (
@@ -147,7 +149,7 @@ def _set_up(
     if scale is None:
         items += [*judged.items, _closure(remaining, family)]
     else:
-        judged = _test_setup(
+        judged = _tests_of_set_up(
             StationOccupation.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows
         )
         items += [_scattering(visit, remaining, family), *judged.items]
@@ -164,7 +166,8 @@ class SetUpTests:
     motion_corrected: Recording
 
 
-def _test_setup(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> SetUpTests:
+def _tests_of_set_up(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> SetUpTests:
+    """Tests of one set-up for gross errors, a bump and a drift, and the readings without its motion."""
     gross, bump, visit = _events(visit, construction, family)
     items = [_of_gross(visit, gross, rows, family), _of_bump(visit, bump, rows, family)]
     recording, even = visit.recording, EvenMotion((visit.recording.stations[0],))

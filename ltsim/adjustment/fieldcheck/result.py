@@ -68,7 +68,7 @@ OF_TEST: dict[str, Kind] = {
 
 
 def item_of(test: Test) -> Item:
-    """Item of an identified cause; noise smaller than declared is no reason to stop."""
+    """Item of an identified cause; it passes only if it is noise smaller than declared."""
     passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
     kind: Kind = "level" if test.acts_on == "level" else OF_TEST.get(test.kind, "cause")

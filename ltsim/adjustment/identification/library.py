@@ -98,7 +98,7 @@ class Family:
         return middle[chosen].tolist()
 
     def effect(self, name: str, since: float) -> Signature:
-        """Signature at a station or target, from a time [s] on."""
+        """Effect of this family at a named station or target, starting at the time `since` [s]."""
         names = (name,)
         stations, targets = (names, ()) if self.place == "station" else ((), names)
         if self.kind == "station-bump":

@@ -51,15 +51,15 @@ class BearingWobble(Effect):
     stage = Stage.AXES
     covariates = ("azimuth", "elevation")
     parameters = (
-        Parameter("wobble-cos", "urad", "tilt, part along cos(n x), then sin(n x)", 4 * MICRORADIAN),
-        Parameter("wobble-sin", "urad", "tilt, part along -sin(n x), then cos(n x)", 4 * MICRORADIAN),
+        Parameter("wobble-cos", "urad", "tilt, cosine part: cos(n x), and sin(n x) across", 4 * MICRORADIAN),
+        Parameter("wobble-sin", "urad", "tilt, sine part: -sin(n x), and cos(n x) across", 4 * MICRORADIAN),
     )
 
     def __post_init__(self) -> None:
         if self.kind == "radial":
             run_out = (
-                Parameter("run-out-cos", "um", "shift, part along cos(n x), then sin(n x)", 8 * MICROMETRE),
-                Parameter("run-out-sin", "um", "shift, part along -sin(n x), then cos(n x)", 8 * MICROMETRE),
+                Parameter("run-out-cos", "um", "shift, cosine part: cos(n x), and sin(n x) across", 8 * MICROMETRE),
+                Parameter("run-out-sin", "um", "shift, sine part: -sin(n x), and cos(n x) across", 8 * MICROMETRE),
             )
             object.__setattr__(self, "parameters", run_out)
         else:

@@ -154,7 +154,7 @@ class Law(Tunable):
         return self if region is None else replace(self, driver=self.driver.through(replace(region, centre=centre)))
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Neighbouring laws: rates between those tried first, and edges and constants around one."""
+        """Variants of the law with a frequency, step, constant or region slightly changed, for a local search."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))

@@ -57,7 +57,7 @@ def states_of(sightings: Sightings, inputs: Sequence[str]) -> list[State]:
 
 
 def _functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
-    """Pairs of function and constant whose resets or decays differ in these sightings."""
+    """Functions of the memory of a state (decay or reset) with their constants that differ in these sightings."""
     stay = float(np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)]))
     yield from ((FADES, stay * share) for share in DECAY_FRACTIONS if stay > 0.0)
     yield from ((FORGETS, number) for number in DECAY_POINTINGS)

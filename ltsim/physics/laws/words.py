@@ -30,7 +30,7 @@ from ltsim.scene.regions import SHAPES, Region
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
-METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
+COVARIATES_IN_METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
 """Covariates that are displayed in metres; other sets name those in degrees, minutes and seconds."""
 PHRASE_OF = {
     "parity": "the parity of the order (every other pointing)",
@@ -131,7 +131,7 @@ def _units(name: str, clock: bool) -> dict[str, float]:
         return {"deg": np.pi / 180.0}
     if name in SECONDS:
         return {"min": 60.0, "s": 1.0} if clock else {"rows": 1.0}
-    return {"m": 1.0, "mm": 1e-3} if name in METRES else {"": 1.0}
+    return {"m": 1.0, "mm": 1e-3} if name in COVARIATES_IN_METRES else {"": 1.0}
 
 
 def describe(driver: Regressor, *, clock: bool = True) -> str:

@@ -320,7 +320,7 @@ def construction(name: str, harmonics: int | None = None, degree: int | None = N
     if harmonics is None and degree is None:
         return CONSTRUCTIONS[name]()
     if name != "dh":
-        raise ModelError(f"harmonics and degree belong to the construction dh, not to {name}")
+        raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
     for what, order, highest in (("harmonics", harmonics, HIGHEST_ORDER), ("degree", degree, HIGHEST_DEGREE)):
         if order is not None and not 0 <= order <= highest:
             raise ModelError(f"{what} is {order}, expected 0 to {highest}")

@@ -32,7 +32,7 @@ ROWS_PER_BATCH = 8192
 
 
 def as_digits(texts: Sequence[str]) -> Digits:
-    """Numbers (n,) as digits, from texts that `Decimal` reads."""
+    """Numbers (n,) kept as their decimal text, so that no digit is lost."""
     return np.array(texts, dtype=np.bytes_)
 
 
