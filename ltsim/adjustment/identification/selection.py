@@ -191,9 +191,10 @@ def _at_best_moment(fit: Fit) -> Fit:
     with the best score may be several pointings off; the readings between would then look like further causes.
     """
     *others, last = fit.hypotheses
-    bump = last.change.effect if isinstance(last.change, Shift) else None
-    if not isinstance(bump, StationBump) or fit.length(last) < LARGE_MOTION:
+    change = last.change
+    if not isinstance(change, Shift) or not isinstance(change.effect, StationBump) or fit.length(last) < LARGE_MOTION:
         return fit
+    bump = change.effect
     times = np.unique(fit.recording.time[fit.recording.station == fit.recording.stations.index(bump.stations[0])])
     gaps = (0.5 * (times[1:] + times[:-1])).tolist()
     now, step = int(np.argmin(np.abs(np.subtract(gaps, bump.time)))), max(len(gaps) // 4, 1)
@@ -201,7 +202,7 @@ def _at_best_moment(fit: Fit) -> Fit:
         for at in (now - step, now + step):
             if not 0 < at < len(gaps) - 1:
                 continue
-            moved = replace(last, change=replace(last.change, effect=bump.reshaped(time=gaps[at])))
+            moved = replace(last, change=replace(change, effect=bump.reshaped(time=gaps[at])))
             try:
                 made = Fit.of(fit.network, (*others, moved), replace(fit.state, extra=np.zeros(0)))
             except LtsimError:
