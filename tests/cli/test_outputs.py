@@ -121,7 +121,7 @@ def test_two_outputs_at_one_place_are_refused(tmp_path: Path, capsys: pytest.Cap
     assert "--out and --truth both name" in capsys.readouterr().err
     for verb, option, name in (("simulate", "--truth", "setup.toml"), ("recover", "--junit", "trials.csv")):
         assert run([verb, "paper-workshop", "--out", place, option, f"{place}/{name}"]) == 2
-        assert "which --out may write" in capsys.readouterr().err
+        assert "a result of --out could overwrite" in capsys.readouterr().err
     assert not os.path.lexists(place)
     assert run(["simulate", "paper-workshop", "--out", place, "--truth", f"{place}/truth.json", "-q"]) == 0
 
