@@ -194,15 +194,14 @@ def _at_best_moment(fit: Fit) -> Fit:
     change = last.change
     if not isinstance(change, Shift) or not isinstance(change.effect, StationBump) or fit.length(last) < LARGE_MOTION:
         return fit
-    bump = change.effect
-    times = np.unique(fit.recording.time[fit.recording.station == fit.recording.stations.index(bump.stations[0])])
-    gaps = (0.5 * (times[1:] + times[:-1])).tolist()
-    now, step = int(np.argmin(np.abs(np.subtract(gaps, bump.time)))), max(len(gaps) // 4, 1)
+    first, bumps = change.effect, StationBump.candidates(fit.adjustment.sightings)
+    bumps = [bump for bump in bumps if bump.stations == first.stations]
+    now, step = int(np.argmin([abs(bump.time - first.time) for bump in bumps])), max(len(bumps) // 4, 1)
     while step:
         for at in (now - step, now + step):
-            if not 0 < at < len(gaps) - 1:
+            if not 0 <= at < len(bumps):
                 continue
-            moved = replace(last, change=replace(change, effect=bump.reshaped(time=gaps[at])))
+            moved = replace(last, change=replace(change, effect=bumps[at]))
             try:
                 made = Fit.of(fit.network, (*others, moved), replace(fit.state, extra=np.zeros(0)))
             except LtsimError:
