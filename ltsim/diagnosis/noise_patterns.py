@@ -71,9 +71,10 @@ def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
             yield "time", (low, high)
     for name, width in product(("azimuth", "bearing"), SECTORS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
-            inside = np.remainder(sightings.quantities[name] - start, 2.0 * np.pi) <= width
+            band = start, start + width
+            inside = VarianceFunction(covariates=(name,), band=band).inside(sightings)
             if MIN_SECTOR_SHARE <= inside.mean() <= 1.0 - MIN_SECTOR_SHARE:
-                yield name, (start, start + width)
+                yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
     names += additional_columns(sightings)
     names += ["incidence"] if np.isfinite(sightings.incidence).any() else []

@@ -117,14 +117,14 @@ class VarianceFunction(NoiseSignature):
             pattern = pattern * np.where(share > MIN_PATH, share, 0.0)
             return self._grown(sigma, values[0] * pattern)
         if self.band:
-            return self._grown(sigma, values[0] * pattern * self._inside(sightings))
+            return self._grown(sigma, values[0] * pattern * self.inside(sightings))
         for name in self.covariates:
             x = size_or_value(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         return self._grown(sigma, values[0] * pattern)
 
-    def _inside(self, sightings: Sightings) -> Bools:
+    def inside(self, sightings: Sightings) -> Bools:
         """Pointings (n,) within the band of the covariate."""
         (low, high), name = self.band, self.covariates[0]
         x = size_or_value(sightings, name)
