@@ -26,7 +26,7 @@ from ltsim.campaigns.schema import CellEntry, ManifestFile, ScenarioSettings
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, cad_files, cells_of, load_campaign, local_file, read_cad
 from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
-from ltsim.campaigns.store import SOURCE, Store
+from ltsim.campaigns.store import SOURCE, Store, interruption
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option
 from ltsim.core.parallel import parallel
@@ -123,7 +123,7 @@ def run_campaign(
                     store.write_shard(task.cell, task.shard, content)
                     progress(rows_of(campaign, task.shard))
             except WorkerError as problem:
-                raise SetupError(f"{folder}: {problem}; finished shards are kept; continue with --resume") from None
+                raise interruption(folder, problem) from None
     spared = len(cells) * campaign.shards - done - existing
     if spared:
         share = 100 * spared / (len(cells) * campaign.shards)

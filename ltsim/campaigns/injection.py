@@ -150,7 +150,7 @@ def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[
     named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
     first = new[:1]
     return {
-        "found": bool(new),
+        "detections": bool(new),
         "placed": bool(placed),
         "named": bool(named),
         "right": bool(first) and first[0].effect == name and first[0] in placed,
@@ -175,7 +175,7 @@ def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[s
     row: dict[str, float] = {"noncentrality": strength, "injections": len(judged)}
     row["largest_um"] = float(np.mean([c.largest["distance_um"] for c in causes]))
     row["largest_urad"] = float(np.mean([max(c.largest["azimuth_urad"], c.largest["elevation_urad"]) for c in causes]))
-    for key in ("found", "placed", "named", "right"):
+    for key in ("detections", "placed", "named", "right"):
         row[key] = sum(outcome[key] for outcome in judged)
         if key != "right":
             interval = binomtest(int(row[key]), len(judged)).proportion_ci(method="wilson")

@@ -61,6 +61,12 @@ def table_of(path: Path) -> pa.Table:
     return pq.ParquetFile(path, page_checksum_verification=True).read()
 
 
+def interruption(folder: Path, reason: object, cure: str = "") -> SetupError:
+    """Error of a campaign that ends early and can be continued; `cure` is what to do before."""
+    action = f"{cure} and continue" if cure else "continue"
+    return SetupError(f"{folder}: {reason}; complete shards remain in the folder: {action} with --resume")
+
+
 @dataclass(frozen=True)
 class Store:
     """Folder of a campaign, with its manifest, shards and digests."""
@@ -221,9 +227,7 @@ class Store:
             full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
             reason = "the disk is full" if full else f"cannot be written ({problem.strerror or problem})"
             cure = "free some space" if full else "make it writable"
-            raise SetupError(
-                f"{self.folder}: {reason}; finished shards are kept: {cure} and continue with --resume"
-            ) from None
+            raise interruption(self.folder, reason, cure) from None
 
 
 def statistics_of(table: pa.Table) -> list[str]:

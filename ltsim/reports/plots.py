@@ -125,7 +125,7 @@ def _(result: InjectionCurve) -> Figure:
     """Figure of a detection curve: fractions of detected, located and named injections, with 95 % intervals."""
     lines = {
         name: [(row[name] / row["injections"], row[f"{name}_low"], row[f"{name}_high"]) for row in result.rows]
-        for name in ("found", "placed", "named")
+        for name in ("detections", "placed", "named")
     }
     strengths = [row["noncentrality"] for row in result.rows]
     return lines_figure(strengths, lines, "noncentrality", "share, 95 % interval")

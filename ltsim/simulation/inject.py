@@ -108,12 +108,13 @@ CURVE = Table(
         *numbers(form=".4g", largest_urad="Largest change of an angle, mean of the injections."),
         *numbers(injections="Number of injections."),
         *numbers(
-            found="Number of injections with a new finding.",
+            detections="Number of injections with a new finding.",
             placed="Those with a new finding at the right place.",
             named="Those with a new finding of the right name.",
             right="Those whose first new finding has the right name and place.",
         ),
-        *numbers(form=".3f", found_low="", found_high="", placed_low="", placed_high="", named_low="", named_high=""),
+        *numbers(form=".3f", detections_low="", detections_high=""),
+        *numbers(form=".3f", placed_low="", placed_high="", named_low="", named_high=""),
     ),
 )  # fmt: skip
 
@@ -131,7 +132,7 @@ class InjectionCurve(Result):
         reported = ", ".join(self.background) or "nothing"
         lines = [f"{self.words}, injected into the recording; findings without the injection: {reported}"]
         return lines + [
-            f"noncentrality {row['noncentrality']:.0f}: found {row['found']}, placed {row['placed']}, "
+            f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, placed {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
             for row in self.rows
         ]

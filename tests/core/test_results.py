@@ -189,7 +189,7 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
     ]
 
 
-CHANCES = ("found", "placed", "named")
+CHANCES = ("detections", "placed", "named")
 WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth"}
 """Lists of words and sizes."""
 

@@ -105,9 +105,9 @@ def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) ->
 def test_the_curve_rises(recording: Recording) -> None:
     found = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
     weak, strong = found.table().json()
-    assert strong["found"] == strong["placed"] == 2 > weak["found"]
+    assert strong["detections"] == strong["placed"] == 2 > weak["detections"]
     assert strong["largest_um"] > 5 * weak["largest_um"]
-    assert 0.0 <= strong["found_low"] < 1.0 == strong["found_high"]
+    assert 0.0 <= strong["detections_low"] < 1.0 == strong["detections_high"]
 
 
 @pytest.mark.parametrize(
