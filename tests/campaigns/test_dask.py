@@ -91,7 +91,7 @@ def test_workers_that_end_at_the_same_shard_are_a_sentence(tmp_path: Path, monke
     file = tmp_path / "many.toml"
     file.write_text(FILE)
     with pytest.raises(
-        SetupError, match=r"several workers were killed at the same shard.*kept; continue with --resume"
+        SetupError, match=r"several workers were killed at the same shard.*remain in the folder: continue with --resume"
     ):
         run_campaign(file, tmp_path / "out", workers=Workers(backend="dask", scheduler="tcp://127.0.0.1:1"))
 
