@@ -22,6 +22,7 @@ from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.physics.laws.places import Place
 from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import ResponseTerm
+from ltsim.scene.sightings import Sightings
 
 CHUNK = 1000
 """Number of pointings whose products are in memory at a time."""
@@ -29,6 +30,8 @@ PAIRS = 500_000
 """Number of products of columns in memory at a time, the size of a cache."""
 AT_ONCE = 10_000
 """Number of columns at places whose products with all vectors are in memory at a time, some tens of MB."""
+COLUMN_ENTRIES = 5_000_000
+"""Number of entries of columns of regressors that are computed at a time, 20 MB."""
 MOST_HITS = 6
 """Largest number of hypotheses per place that are evaluated again."""
 
@@ -95,10 +98,12 @@ class LawBatch:
     ----------
     weights : (n, 3, C, c) float32
         Whitened change of the readings by a plausible size of each component.
-    columns : (n, D k) float32
-        Pointings in the order of the cells.
+    sightings : Sightings
+        Geometry from which the columns of the regressors are computed.
     log_prior : (P,) float
         Of each hypothesis and scale at a place.
+    caches_columns : bool
+        True if columns stay in memory after the first scoring; otherwise each scoring computes them anew.
     """
 
     carriers: tuple[ResponseTerm, ...]
@@ -106,8 +111,10 @@ class LawBatch:
     places: tuple[Place, ...]
     cells: RowPartition
     weights: Singles
-    columns: Singles
+    sightings: Sightings
     log_prior: Floats
+    caches_columns: bool
+    _columns: dict[int, Singles] = field(default_factory=dict, repr=False)
     _forms: dict[int, list[tuple[tuple[Floats, Floats], Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -118,8 +125,9 @@ class LawBatch:
 
     def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
-        count = len(self.drivers)
-        step = max(1, AT_ONCE * count // (self.columns.shape[1] * self.weights[0, 0].size * len(self.places)))
+        count, size = len(self.drivers), self.drivers[0].size
+        products = size * self.weights[0, 0].size * len(self.places)
+        step = max(1, min(AT_ONCE // products, COLUMN_ENTRIES // (size * len(self.sightings))))
         parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in parts]))
@@ -137,13 +145,14 @@ class LawBatch:
         The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
         laws are evaluated again without this approximation.
         """
-        scores = self._sums(probe, part)
+        columns = self._columns_of(part)
+        scores = self._sums(probe, columns)
         score, trials, _ = probe.split(scores)
-        null = np.full((1, probe.trials.shape[1]), -np.inf)
+        null = np.full((1, probe.count), -np.inf)
         if probe.is_first_pass:
-            turned = self._turned(probe.gram(scores, self._self_products(part)), part)
+            turned = self._turned(probe.gram(scores, self._self_products(columns)), part)
             self._forms[part.start] = [(forms_of(strength), turn) for strength, turn in turned]
-            if probe.trials.shape[1]:
+            if probe.count:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
@@ -161,31 +170,39 @@ class LawBatch:
             turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
         return turned
 
-    def _columns(self, part: slice) -> Singles:
-        """Columns (n, d k) of some regressors."""
-        k = self.columns.shape[1] // len(self.drivers)
-        return self.columns[:, part.start * k : part.stop * k]
+    def _columns_of(self, part: slice) -> Singles:
+        """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
+        if part.start in self._columns:
+            return self._columns[part.start]
+        moving, drivers = self.carriers[0].kind == "target", self.drivers[part]
+        size = drivers[0].size
+        columns = np.empty((len(self.sightings), len(drivers) * size), dtype=np.float32)
+        for i, driver in enumerate(drivers):
+            made = driver.columns(self.sightings, moving=moving)
+            columns[:, i * size : (i + 1) * size] = made[self.cells.order]
+        if self.caches_columns:
+            self._columns[part.start] = columns
+        return columns
 
-    def _sums(self, probe: NullEnsemble, chosen: slice) -> Singles:
-        """Products (P, C, d, c k, v) of columns of some regressors with the ensemble's vectors at all places."""
+    def _sums(self, probe: NullEnsemble, columns: Singles) -> Singles:
+        """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
         _, _, count, ways = self.weights.shape
-        columns, vectors = self._columns(chosen), probe.vectors.shape[1]
+        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.drivers[0].size
         sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
         for part, rows, cells in self.cells.parts(CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
-            moved = (np.swapaxes(weights, 1, 2) @ probe.pointings[rows]).reshape(len(rows), -1)
+            moved = (np.swapaxes(weights, 1, 2) @ probe.at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
-        d = chosen.stop - chosen.start
         shaped = self.cells.summed(sums).reshape(len(self.places), d, -1, count, ways, vectors)
         return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
 
-    def _self_products(self, chosen: slice) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the columns of each hypothesis."""
+    def _self_products(self, columns: Singles) -> Floats:
+        """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
         _, _, count, ways = self.weights.shape
-        columns, d = self._columns(chosen), chosen.stop - chosen.start
-        k = columns.shape[1] // d
+        k = self.drivers[0].size
+        d = columns.shape[1] // k
         sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
         for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]

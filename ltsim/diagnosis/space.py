@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import times_to_noise
 from ltsim.diagnosis.law_batch import LawBatch, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
@@ -59,6 +59,10 @@ SWINGS = (*CLOCKS, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
+MAX_CACHED = 25_000_000
+"""Largest number of entries of the columns of all regressors that stay in memory, 100 MB; computing them anew takes a
+sixth of the time of a scoring.
+"""
 Drivers = Mapping[str, Sequence[Regressor]]
 
 
@@ -167,14 +171,17 @@ class _Maker:
             for (carriers, drivers), wanted in self._asked.items()
             for group, prior in wanted
         )
+        entries = sum(sum(d.size for d in drivers) for _, drivers in self._asked) * len(self._s)
         cells: dict[tuple[int, ...], RowPartition] = {}
+        stacked: dict[tuple[ResponseTerm, ...], Singles] = {}
         batches = []
         for (carriers, drivers), wanted in self._asked.items():
             places = tuple(place for group, _ in wanted for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
                 cells[same] = RowPartition.of(places, len(self._s))
-            columns = [d.columns(self._s, moving=carriers[0].kind == "target") for d in drivers]
+            if carriers not in stacked:
+                stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
             share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
             batches.append(
                 LawBatch(
@@ -182,9 +189,10 @@ class _Maker:
                     drivers,
                     places,
                     cells[same],
-                    weights=np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32),
-                    columns=np.hstack(columns, dtype=np.float32)[cells[same].order],
-                    log_prior=np.log(PRIOR["law"] * share),
+                    stacked[carriers],
+                    self._s,
+                    np.log(PRIOR["law"] * share),
+                    caches_columns=entries <= MAX_CACHED,
                 )
             )
         return batches
