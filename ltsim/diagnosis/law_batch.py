@@ -30,8 +30,10 @@ PAIRS = 500_000
 """Number of products of columns in memory at a time, the size of a cache."""
 AT_ONCE = 10_000
 """Number of columns at places whose products with all vectors are in memory at a time, some tens of MB."""
-COLUMN_ENTRIES = 5_000_000
-"""Number of entries of columns of regressors that are computed at a time, 20 MB."""
+COLUMN_ENTRIES, SHARED_ENTRIES = 5_000_000, 16_000_000
+"""Number of entries of columns of regressors that are computed at a time, 20 MB, and number up to which the batches
+with the same regressors share them, 64 MB.
+"""
 MOST_HITS = 6
 """Largest number of hypotheses per place that are evaluated again."""
 
@@ -90,6 +92,41 @@ class RowPartition:
         return (self.members @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
 
 
+class RegressorColumns:
+    """Columns of some regressors of equal size at all pointings, computed when they are needed.
+
+    Those of several batches are shared: they stay in memory until they are released, or always if `cached`.
+    """
+
+    def __init__(self, drivers: Sequence[Regressor], sightings: Sightings, order: Ints, *, moving: bool) -> None:
+        self._drivers, self._sightings, self._order, self._moving = drivers, sightings, order, moving
+        self._whole: Singles | None = None
+        self.cached = False
+        self.entries = drivers[0].size * len(sightings)  # of one regressor
+
+    def of(self, part: slice) -> Singles:
+        """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
+        if self.entries * len(self._drivers) > SHARED_ENTRIES:
+            return self._computed(self._drivers[part])
+        if self._whole is None:
+            self._whole = self._computed(self._drivers)
+        size = self._drivers[0].size
+        return self._whole[:, part.start * size : part.stop * size]
+
+    def release(self) -> None:
+        """Removal of columns that are not cached."""
+        if not self.cached:
+            self._whole = None
+
+    def _computed(self, drivers: Sequence[Regressor]) -> Singles:
+        size = drivers[0].size
+        columns = np.empty((len(self._sightings), len(drivers) * size), dtype=np.float32)
+        for i, driver in enumerate(drivers):
+            made = driver.columns(self._sightings, moving=self._moving)
+            columns[:, i * size : (i + 1) * size] = made[self._order]
+        return columns
+
+
 @dataclass(frozen=True)
 class LawBatch:
     """Batch of laws: responses of one kind with c components, regressors with equal columns k and scales, P places.
@@ -98,12 +135,10 @@ class LawBatch:
     ----------
     weights : (n, 3, C, c) float32
         Whitened change of the readings by a plausible size of each component.
-    sightings : Sightings
-        Geometry from which the columns of the regressors are computed.
+    columns : RegressorColumns
+        Columns of the regressors, shared by batches with the same regressors and cells.
     log_prior : (P,) float
         Of each hypothesis and scale at a place.
-    caches_columns : bool
-        True if columns stay in memory after the first scoring; otherwise each scoring computes them anew.
     """
 
     carriers: tuple[ResponseTerm, ...]
@@ -111,10 +146,8 @@ class LawBatch:
     places: tuple[Place, ...]
     cells: RowPartition
     weights: Singles
-    sightings: Sightings
+    columns: RegressorColumns
     log_prior: Floats
-    caches_columns: bool
-    _columns: dict[int, Singles] = field(default_factory=dict, repr=False)
     _forms: dict[int, list[tuple[tuple[Floats, Floats], Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -127,7 +160,7 @@ class LawBatch:
         """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
         count, size = len(self.drivers), self.drivers[0].size
         products = size * self.weights[0, 0].size * len(self.places)
-        step = max(1, min(AT_ONCE // products, COLUMN_ENTRIES // (size * len(self.sightings))))
+        step = max(1, min(AT_ONCE // products, COLUMN_ENTRIES // self.columns.entries))
         parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in parts]))
@@ -145,7 +178,7 @@ class LawBatch:
         The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
         laws are evaluated again without this approximation.
         """
-        columns = self._columns_of(part)
+        columns = self.columns.of(part)
         scores = self._sums(probe, columns)
         score, trials, _ = probe.split(scores)
         null = np.full((1, probe.count), -np.inf)
@@ -169,20 +202,6 @@ class LawBatch:
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
             turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
         return turned
-
-    def _columns_of(self, part: slice) -> Singles:
-        """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
-        if part.start in self._columns:
-            return self._columns[part.start]
-        moving, drivers = self.carriers[0].kind == "target", self.drivers[part]
-        size = drivers[0].size
-        columns = np.empty((len(self.sightings), len(drivers) * size), dtype=np.float32)
-        for i, driver in enumerate(drivers):
-            made = driver.columns(self.sightings, moving=moving)
-            columns[:, i * size : (i + 1) * size] = made[self.cells.order]
-        if self.caches_columns:
-            self._columns[part.start] = columns
-        return columns
 
     def _sums(self, probe: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
@@ -212,3 +231,15 @@ class LawBatch:
                 sums[cell] += turned[:, at] @ pairs[at]
         shaped = self.cells.summed(sums).reshape(len(self.places), count, ways, ways, d, k, k)
         return shaped.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(shaped), count, d, ways * k, ways * k)
+
+
+def scored(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:
+    """Scores of each batch, in their order; columns that several batches share are computed once."""
+    by_columns: dict[int, list[int]] = {}
+    for i, batch in enumerate(batches):
+        by_columns.setdefault(id(batch.columns), []).append(i)
+    scores = {}
+    for members in by_columns.values():
+        scores.update({i: batches[i].score(probe) for i in members})
+        batches[members[0]].columns.release()
+    return [scores[i] for i in range(len(batches))]

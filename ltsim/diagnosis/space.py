@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import times_to_noise
-from ltsim.diagnosis.law_batch import LawBatch, RowPartition
+from ltsim.diagnosis.law_batch import LawBatch, RegressorColumns, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.places import (
@@ -171,9 +171,9 @@ class _Maker:
             for (carriers, drivers), wanted in self._asked.items()
             for group, prior in wanted
         )
-        entries = sum(sum(d.size for d in drivers) for _, drivers in self._asked) * len(self._s)
         cells: dict[tuple[int, ...], RowPartition] = {}
         stacked: dict[tuple[ResponseTerm, ...], Singles] = {}
+        columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
         for (carriers, drivers), wanted in self._asked.items():
             places = tuple(place for group, _ in wanted for place in group)
@@ -182,6 +182,9 @@ class _Maker:
                 cells[same] = RowPartition.of(places, len(self._s))
             if carriers not in stacked:
                 stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
+            key = drivers, carriers[0].kind == "target", same
+            if key not in columns:
+                columns[key] = RegressorColumns(drivers, self._s, cells[same].order, moving=key[1])
             share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
             batches.append(
                 LawBatch(
@@ -190,11 +193,13 @@ class _Maker:
                     places,
                     cells[same],
                     stacked[carriers],
-                    self._s,
+                    columns[key],
                     np.log(PRIOR["law"] * share),
-                    caches_columns=entries <= MAX_CACHED,
                 )
             )
+        entries = sum(shared.entries * len(drivers) for (drivers, _, _), shared in columns.items())
+        for shared in columns.values():
+            shared.cached = entries <= MAX_CACHED
         return batches
 
 
