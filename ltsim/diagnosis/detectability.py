@@ -17,7 +17,7 @@ from ltsim.adjustment.remedies.next_measurement import deciding, explanation, sp
 from ltsim.adjustment.remedies.remedy import advice
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import UNCHECKED
-from ltsim.core.arrays import AT_ONCE, Floats
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -27,6 +27,8 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
+AT_ONCE = 1_000_000
+"""Largest number of entries of signatures in memory at a time, 8 MB; their projections take several times as much."""
 OUT_OF_REACH = 10.0
 """Multiple of a large but plausible size above which a detectable size counts as undetectable."""
 TIE = 1e-6

@@ -25,7 +25,7 @@ from ltsim.diagnosis.evidence import SCREENED_TIE, TIE, best_of, posterior, rank
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.forms import evaluate_forms
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
-from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw
+from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, scored
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate
@@ -139,8 +139,7 @@ class Searcher:
         families = self.cards.family_evidence(values) + self._log_family_prior
         hits: list[ScreenedLaw] = []
         statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
-        for panel in self.panels:
-            hits_here, law_total, law_chance = panel.score(probe)
+        for hits_here, law_total, law_chance in scored(self.panels, probe):
             hits += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
         return Screen(values, families, hits, float(statistic), null)

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import times_to_noise
-from ltsim.diagnosis.law_batch import LawBatch, RowPartition
+from ltsim.diagnosis.law_batch import LawBatch, RegressorColumns, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.physics.laws.columns import LOW, MODES
 from ltsim.physics.laws.places import (
@@ -60,6 +60,10 @@ SWINGS = (*CLOCKS, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
+MAX_CACHED = 25_000_000
+"""Largest number of entries of the columns of all regressors that stay in memory, 100 MB; computing them anew takes a
+sixth of the time of a scoring.
+"""
 Drivers = Mapping[str, Sequence[Regressor]]
 
 
@@ -169,13 +173,19 @@ class _Maker:
             for group, prior in wanted
         )
         cells: dict[tuple[int, ...], RowPartition] = {}
+        stacked: dict[tuple[ResponseTerm, ...], Singles] = {}
+        columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
         for (carriers, drivers), wanted in self._asked.items():
             places = tuple(place for group, _ in wanted for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
                 cells[same] = RowPartition.of(places, len(self._s))
-            columns = [d.columns(self._s, moving=carriers[0].kind == "target") for d in drivers]
+            if carriers not in stacked:
+                stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
+            key = drivers, carriers[0].kind == "target", same
+            if key not in columns:
+                columns[key] = RegressorColumns(drivers, self._s, cells[same].order, moving=key[1])
             share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
             batches.append(
                 LawBatch(
@@ -183,11 +193,14 @@ class _Maker:
                     drivers,
                     places,
                     cells[same],
-                    weights=np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32),
-                    columns=np.hstack(columns, dtype=np.float32)[cells[same].order],
-                    log_prior=np.log(PRIOR["law"] * share),
+                    stacked[carriers],
+                    columns[key],
+                    np.log(PRIOR["law"] * share),
                 )
             )
+        entries = sum(shared.entries * len(drivers) for (drivers, _, _), shared in columns.items())
+        for shared in columns.values():
+            shared.cached = entries <= MAX_CACHED
         return batches
 
 

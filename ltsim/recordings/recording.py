@@ -13,6 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option
+from ltsim.core.limits import MAX_POINTINGS, max_pointings
 from ltsim.core.results import Columns, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -280,6 +281,7 @@ class Recording(Result):
 
     def require_at_most(self, pointings: int, work: str) -> None:
         """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""
+        pointings = max_pointings(pointings)
         if len(self) <= pointings:
             return
         sights = np.unique(np.stack([self.station, self.target, self.face]), axis=1, return_counts=True)[1]
@@ -289,7 +291,10 @@ class Recording(Result):
             if count <= pointings:
                 advice = f"convert it with {option('every')} {every}, which leaves {count} of them"
                 break
-        raise NetworkError(f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}")
+        raise NetworkError(
+            f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}; on a machine with "
+            f"more memory set the environment variable {MAX_POINTINGS} to {len(self)}"
+        )
 
     def with_readings(self, readings: Floats) -> Recording:
         """Copy of the recording with other readings (n, 3)."""

@@ -99,8 +99,9 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     sums = bank.means.toarray()
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
         i = int(np.flatnonzero(bank.family == i)[-1]) if i < len(bank.families) else i
-        row = bank.gain[[i]].toarray()[0].astype(np.float64)
-        grown = 1.0 / (1.0 - row)
+        grown = np.ones(space.size + len(sums))
+        places, logs = bank.factors.row(i)
+        grown[places] = np.exp(logs)
         covariance = np.diag(grown[: space.size]) + sums.T @ np.diag(grown[space.size :] - 1.0) @ sums
         inner, y = free.T @ covariance @ free, free.T @ residual
         dense = 0.5 * (y @ y - y @ np.linalg.solve(inner, y) - np.linalg.slogdet(inner)[1])
