@@ -84,4 +84,4 @@ def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
         law = Law(stations, (), stand, bare.driver, each=each, direction=ratio)
         assert read_law("place of the stand", describe(law.driver) + law_suffix(law), recording) == law
     with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):
-        read_law("place of the stand", "time, components in the ratio 0.6 : 0.8", recording)
+        read_law("place of the stand", "time, components in the ratio 0.6 / 0.8", recording)

@@ -172,7 +172,7 @@ def _switch_words(driver: Regressor, *, clock: bool) -> str:
 
 def law_suffix(law: Law) -> str:
     """Text after the regressor of a law: separate coefficients for each set-up, ratio of the components."""
-    ratio = RATIO.format(values=" : ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
+    ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
     return (AT_EACH_SET_UP if law.each else "") + ratio
 
 
@@ -204,7 +204,7 @@ _REGION = re.compile(
     rf"at (?P<at>.+), width (?P<width>{_NUMBER}) m"
 )
 _COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
-_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER}(?: : {_NUMBER})*)')}")
+_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER}(?: / {_NUMBER})*)')}")
 _LATCH = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
 _LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER}) (?P<unit>[a-z]+)")
 _SWITCH = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
@@ -218,7 +218,7 @@ def read_law(
     if carrier not in RESPONSES:
         raise ModelError(f"there is no response called '{carrier}'; responses are {', '.join(RESPONSES)}")
     ratio = _RATIO.fullmatch(words)
-    direction = tuple(map(float, ratio["values"].split(" : "))) if ratio else ()
+    direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     words = ratio["words"] if ratio else words
     driver, each = read_regressor(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
     if each and (stations or targets):
