@@ -17,7 +17,7 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.regressor_library import waves
+from ltsim.physics.laws.regressor_library import MIN_TARGETS_NEAR, waves
 from ltsim.physics.laws.regressors import Regressor, simple
 from ltsim.scene.sightings import Sightings
 
@@ -168,10 +168,17 @@ def _acts_for_a_time(law: Law, edges: Sequence[Regressor], sightings: Sightings)
     """True if a switch with these edges is no single step, and not absorbed by the poses of set-ups."""
     least = MIN_TARGET_TIMES if len(law.targets) == 1 else MIN_SWITCH_TIMES[law.is_in_the_hall]
     if edges and edges[0].covariates != ("time",):
-        return len(edges) >= least
+        return len(edges) >= least and _switches_several_targets(law, edges, sightings)
     if len(law.targets) == 1:
         return len(edges) >= least
     return sum(_is_within_a_set_up(edge.constant, sightings) for edge in edges) >= least
+
+
+def _switches_several_targets(law: Law, edges: Sequence[Regressor], sightings: Sightings) -> bool:
+    """True if a law is on for several targets, and off for several: otherwise the cause belongs to a single target."""
+    on = law.switched(edges).columns(sightings)[:, 0] != 0.0
+    counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
+    return min(counts) > MIN_TARGETS_NEAR
 
 
 def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
