@@ -13,7 +13,7 @@ from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.products import product_forms
 from ltsim.diagnosis.switches import _moments, _toggled, switched_forms
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.regressors import Regressor, passage, simple, smooth, switch
+from ltsim.physics.laws.regressors import CONSTANT, Regressor, passage, simple, smooth, switch
 from ltsim.physics.laws.responses import RESPONSES
 from ltsim.physics.model.construction import misalignment
 from ltsim.scene.regions import Region
@@ -85,3 +85,13 @@ def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpac
     found = max(product_forms(exact, of_time[0], base), key=lambda form: form.value)
     assert isinstance(found.effect, Law) and found.effect.driver.hall_region is not None
     assert found.value > of_time[0].value + 20.0
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_band_of_a_coordinate_with_a_single_target_is_no_law(space: ResidualSpace, axis: str) -> None:
+    """The cause belongs to that target: a wrong constant of its reflector, for example."""
+    carrier, sightings = RESPONSES["distance"][0], space.sightings
+    at = sightings.quantities[axis][np.unique(sightings.target, return_index=True)[1]]
+    middle = int(np.argsort(at)[len(at) // 2])
+    base = with_law(space, Law((), (sightings.target_names[middle],), carrier, CONSTANT), 1e4)
+    assert switched_forms(EvidenceCalculator(space), Law((), (), carrier, smooth(axis)), 0.0, base) == []
