@@ -255,7 +255,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     weights = np.exp(values - log_sum_exp(np.array([0.0, rest, *values])))
     named: dict[str, float] = {}
     for (_, entry), weight in zip(ranked, weights.tolist(), strict=True):
-        named[entry.effect.name] = named.get(entry.effect.name, 0.0) + weight
+        named[entry.effect.name] = min(named.get(entry.effect.name, 0.0) + weight, 1.0)
     name = likeliest(named)
     value, best = next(entry for entry in ranked if entry[1].effect.name == name)
     probability, rivals = among(named, name)

@@ -286,7 +286,7 @@ def noise_finding(
             ends = [value_of(effect.covariates[0], value, clock=clock) for value in effect.band]
             most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
-            most = f", {region_words(effect.region)}"
+            most += f", {region_words(effect.region)}"
             rows += [
                 Estimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
                 for axis, value in zip(effect.region.axes, effect.region.centre, strict=True)

@@ -48,6 +48,8 @@ COMPARED = 6
 """Number of families that are evaluated without approximation, the most probable first."""
 AT_ONCE = 1_500_000
 """Largest number of entries of residuals that are evaluated at a time, some tens of MB."""
+COMPARABLE = 0.2
+"""Fraction of the largest log evidence from which windows of noise are also sought at single places."""
 LEAST_SHARE = 0.05
 """Smallest redundancy of a mean of repeats (its diagonal form may be negative)."""
 FINE = 48
@@ -209,6 +211,9 @@ class NoiseBank:
             value = float(self._of_amounts(entry, residual[:, None], redundancy)[0])
             effect = entry.most_likely_effect(residual, redundancy)
             entries.append((value, NoiseHypothesis(entry.name, effect, (0.0,) * len(effect.parameters))))
+            if isinstance(entry, NoiseWindows) and value > max(0.0, *(COMPARABLE * v for v, _ in entries)):
+                place, alone = entry.confined(entry.most_likely_effect(residual, redundancy), residual, redundancy)
+                entries.append((alone + self.share(entry.name), NoiseHypothesis(entry.name, place, (0.0,))))
         return sorted(entries, key=lambda entry: -entry[0])
 
 

@@ -15,10 +15,12 @@ import scipy.sparse as sp
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import restricted
+from ltsim.diagnosis.evidence import best_of, restricted
 from ltsim.diagnosis.noise_groups import MIN_READINGS, SCATTERING, Amounts
+from ltsim.physics.laws.places import clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.regions import regions_of
 
 FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in the noisy state that are averaged over."""
@@ -26,6 +28,8 @@ WINDOWS = np.array([1.5, 6.0])
 """Mean numbers of windows in a recording that are averaged over."""
 MAX_STEPS = 200
 """Largest number of steps of the chain."""
+SHAPES = ("x", "y", "z", "xy")
+"""Shapes of the regions of the hall in which noise may be larger for a time."""
 LARGEST_LOG = 500.0
 """Limit on the log likelihood ratio of a step, below the range of floating-point numbers."""
 ACTS = np.array([[name in acts for name in OBSERVABLES] for acts in SCATTERING], dtype=np.float64)
@@ -43,6 +47,7 @@ class NoiseWindows(Amounts):
     """
 
     times: Floats
+    space: ResidualSpace
 
     @classmethod
     def of(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
@@ -60,7 +65,9 @@ class NoiseWindows(Amounts):
         members = sp.csr_array(
             (np.ones(len(rows)), (rows, np.arange(len(rows)))), (steps * len(OBSERVABLES), space.size)
         )
-        return (cls(VarianceFunction(covariates=("time",), band=(times[0], times[-1])), members, FACTORS, times),)
+        return (
+            cls(VarianceFunction(covariates=("time",), band=(times[0], times[-1])), members, FACTORS, times, space),
+        )
 
     @property
     def name(self) -> str:
@@ -97,24 +104,66 @@ class NoiseWindows(Amounts):
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
         """Effect with the observables and the windows of the most probable sequence of states (Viterbi's algorithm)."""
         ratios = self._ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
-        go = self._changes[0]
-        score, stays = np.zeros((ratios.shape[1], 2)), []
-        for ratio in ratios:
-            same, changed = score + np.log1p(-go), score[:, ::-1] + np.log(go)
-            stays.append(same >= changed)
-            score = np.maximum(same, changed)
-            score[:, 1] += ratio
-        best = int(np.argmax(score.max(axis=1)))
-        state, states = int(np.argmax(score[best])), np.zeros(len(ratios), dtype=bool)
-        for i in reversed(range(len(ratios))):
-            states[i] = bool(state)
-            state = state if stays[i][best, state] else 1 - state
-        if not states.any():
-            states[int(np.argmax(ratios[:, best]))] = True
+        best, states = _most_probable_states(ratios, self._changes[0])
         acts = SCATTERING[best // len(self.factors)]
-        return replace(VarianceFunction(acts, covariates=("time",)), band=self._windows(states))
+        return VarianceFunction(acts, covariates=("time",), band=self._windows(states))
+
+    def confined(
+        self, windows: VarianceFunction, residual: Floats, redundancy: Floats
+    ) -> tuple[VarianceFunction, float]:
+        """Windows of the noise at one place, and their log evidence.
+
+        The place is a group of targets, a set-up or a region of the hall; the windows are found again there.
+        """
+        s = self.space.sightings
+        places = [replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(clusters(s))]
+        places += [replace(windows, stations=(name,)) for name in s.station_names if len(s.station_names) > 1]
+        places += [
+            replace(windows, region=region, covariates=("time", *region.axes)) for region in regions_of(s, SHAPES)
+        ]
+        if not places:
+            return windows, -np.inf
+        place = places[best_of(np.array([self._log_evidence(effect, residual, redundancy) for effect in places]))]
+        whole = replace(place, band=(self.times[0], self.times[-1]))
+        here = (whole.variance(s, self.space.sigma, np.ones(1)) > self.space.sigma**2)[self.space.use]
+        rows = np.pad(here, (0, len(residual) - len(here))).astype(np.float64)
+        inside, share = (residual * rows)[:, None], redundancy * rows
+        ratios = self._ratios(inside, share)[:, SCATTERING.index(windows.observables), :, 0]
+        states = _most_probable_states(ratios, self._changes[0])[1]
+        evidence = float(self.evidence(inside, share)[0]) - float(np.log(len(places)))
+        return replace(place, band=self._windows(states)), evidence
+
+    def _log_evidence(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
+        """Log evidence of an effect, averaged over its sizes."""
+        space = self.space
+        added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[space.use] - 1.0
+        rows = np.flatnonzero(added)
+        factors = 1.0 + (self.factors[:, None] - 1.0) * added[rows]
+        logs = restricted(residual[rows] ** 2, redundancy[rows], factors).sum(axis=1)
+        return float(log_sum_exp(logs) - np.log(len(logs)))
 
     def _windows(self, states: Bools) -> tuple[float, ...]:
         """Times at which the noise becomes larger and smaller, in turn."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.times[edges].tolist())
+
+
+def _most_probable_states(ratios: Floats, change: float) -> tuple[int, Bools]:
+    """Best of several chains (c) by their most probable sequences, and its states (steps,), of which one is noisy.
+
+    The log likelihood ratios (steps, c) are those of the noisy state.
+    """
+    score, stays = np.zeros((ratios.shape[1], 2)), []
+    for ratio in ratios:
+        same, changed = score + np.log1p(-change), score[:, ::-1] + np.log(change)
+        stays.append(same >= changed)
+        score = np.maximum(same, changed)
+        score[:, 1] += ratio
+    best = int(np.argmax(score.max(axis=1)))
+    state, states = int(np.argmax(score[best])), np.zeros(len(ratios), dtype=bool)
+    for i in reversed(range(len(ratios))):
+        states[i] = bool(state)
+        state = state if stays[i][best, state] else 1 - state
+    if not states.any():
+        states[int(np.argmax(ratios[:, best]))] = True
+    return best, states

@@ -14,6 +14,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.noise import NoiseBank, most_likely, noise_hypotheses
 from ltsim.diagnosis.noise_windows import NoiseWindows
+from ltsim.physics.laws.places import clusters
 from ltsim.physics.model.construction import misalignment
 from tests.networks import drawn, network
 
@@ -55,3 +56,19 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     assert (best.effect.inside(space.sightings) == noisy).mean() > 0.95
     fitted = most_likely(replace(space, residual=residual), space.sigma, best)
     assert 4.0 < np.sqrt(1.0 + fitted.values[0]) < 5.5
+
+
+def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace) -> None:
+    sightings, time = space.sightings, space.sightings.time
+    group = max((g for g in clusters(sightings) if len(g) <= len(sightings.target_names) // 3), key=len)
+    noisy = np.isin(sightings.target, group) & (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.7))
+    pointing, kind = np.nonzero(space.use)
+    rows = np.flatnonzero(noisy[pointing] & (kind > 0))
+    added = np.zeros((space.size, 1))
+    added[rows, 0] = 6.0 * stream(3, "fan").standard_normal(len(rows))
+    residual = space.residual + space.project(added)[:, 0]
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    best = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1]
+    pattern = best.effect.variance(sightings, np.ones((len(time), 3)), np.ones(1))[:, 1] > 1.0
+    assert best.family == "unknown:noise:windows"
+    assert (pattern == noisy).mean() > 0.95

@@ -44,7 +44,7 @@ class VarianceFunction(NoiseSignature):
     (targets, stations or readings) has a separate value, and with `per_observable` one for each observable. For a
     `region` of the hall the pattern is the length of the line of sight in it. With a `band` the pattern is 1 from its
     first to its second value of the covariate, round the circle for directions, from its third to its fourth and so
-    on, and 0 elsewhere.
+    on, and 0 elsewhere. Both may hold: the covariate of the band is the first.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -89,7 +89,9 @@ class VarianceFunction(NoiseSignature):
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
             return f"errors without a visible law that recur when a target is measured again{again}"
         if self.region is not None:
-            return "larger noise on lines of sight that pass a region of the hall"
+            return "larger noise on lines of sight that pass a region of the hall" + (
+                " for a time" if self.band else ""
+            )
         if self.each == "reading":
             return "a fraction of the readings with a much larger scatter"
         if self.each:
@@ -117,10 +119,9 @@ class VarianceFunction(NoiseSignature):
             path = self.region.path(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
             pattern = pattern * np.where(share > MIN_PATH, share, 0.0)
-            return self._grown(sigma, values[0] * pattern)
         if self.band:
-            return self._grown(sigma, values[0] * pattern * self.inside(sightings))
-        for name in self.covariates:
+            pattern = pattern * self.inside(sightings)
+        for name in self.covariates if self.region is None and not self.band else ():
             x = size_or_value(sightings, name)
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
