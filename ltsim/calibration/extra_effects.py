@@ -21,7 +21,7 @@ from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.sizes import sizes_of
-from ltsim.physics.laws.words import AT_EACH_SET_UP, describe
+from ltsim.physics.laws.words import describe, law_suffix
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
@@ -120,8 +120,8 @@ def name_of(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for a law its text form."""
     if not isinstance(effect, Law):
         return effect.name
-    suffix = AT_EACH_SET_UP if effect.each else ""
-    return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}{suffix}"
+    driver = describe(effect.driver, clock=adjustment.recording.has_clock)
+    return f"{effect.carrier.name} ~ {driver}{law_suffix(effect)}"
 
 
 def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:

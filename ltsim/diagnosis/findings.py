@@ -30,7 +30,7 @@ from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.places import trackers_of
 from ltsim.physics.laws.regressors import words_of
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import AT_EACH_SET_UP, describe, region_words, value_of
+from ltsim.physics.laws.words import describe, law_suffix, region_words, value_of
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -283,8 +283,8 @@ def noise_finding(
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
         if effect.band:
-            low, high = (value_of(effect.covariates[0], value, clock=clock) for value in effect.band)
-            most = f", from {low} to {high}"
+            ends = [value_of(effect.covariates[0], value, clock=clock) for value in effect.band]
+            most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
             most = f", {region_words(effect.region)}"
             rows += [
@@ -351,7 +351,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    suffix = AT_EACH_SET_UP if law.each else ""
+    suffix = law_suffix(law)
     return f"{what} differs{suffix}" if law.driver.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 

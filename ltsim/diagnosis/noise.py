@@ -31,6 +31,7 @@ from ltsim.diagnosis.noise_groups import (
     NoiseByGroup,
 )
 from ltsim.diagnosis.noise_patterns import variance_functions
+from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
@@ -129,7 +130,7 @@ class NoiseBank:
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
-        amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space))
+        amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space), *NoiseWindows.of(space))
         return cls(list(hypotheses), names, family, factors, means, basis, amounts, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -206,7 +207,8 @@ class NoiseBank:
             entries.append((value, self.hypotheses[likeliest]))
         for entry in self.amounts:
             value = float(self._of_amounts(entry, residual[:, None], redundancy)[0])
-            entries.append((value, NoiseHypothesis(entry.name, entry.effect, (0.0,) * len(entry.effect.parameters))))
+            effect = entry.most_likely_effect(residual, redundancy)
+            entries.append((value, NoiseHypothesis(entry.name, effect, (0.0,) * len(effect.parameters))))
         return sorted(entries, key=lambda entry: -entry[0])
 
 

@@ -32,6 +32,7 @@ from ltsim.physics.laws.regressor_library import (
     group_regressors,
     is_admissible,
     regressors_of,
+    visits,
     waves,
 )
 from ltsim.physics.laws.regressors import CLOCKS, Regressor
@@ -97,7 +98,7 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
         ("everywhere", everywhere, {kind: is_grouped for kind, is_grouped in general.items() if kind != "clock"}),
         ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
         ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
-        ("target", targets, {"constant": general["constant"], "clock": general["clock"]}),
+        ("target", targets, {"constant": general["constant"], "clock": general["clock"], "amounts": visits(s, 2)}),
         ("group", groups, group_regressors(s) if groups else {}),
     ]
 

@@ -19,7 +19,6 @@ from ltsim.core.errors import LtsimError, ModelError, NetworkError, RecordError
 from ltsim.core.limits import (
     ADJUSTED_POINTINGS,
     CALIBRATED_POINTINGS,
-    DIAGNOSED_POINTINGS,
     JSON_VALUES,
     MAX_POINTINGS,
     TOML_KEYS,
@@ -254,7 +253,6 @@ LARGEST = {
     "adjust": ADJUSTED_POINTINGS,
     "check": ADJUSTED_POINTINGS,
     "calibrate": CALIBRATED_POINTINGS,
-    "diagnose": DIAGNOSED_POINTINGS,
 }
 
 
@@ -268,10 +266,8 @@ def test_largest_recording_of_a_verb_takes_500_mb_and_30_s(verb: str, tmp_path: 
 
 @pytest.mark.long
 @pytest.mark.parametrize("effects", ["station-bump:S2 range-cyclic target-moved:T100", "turbulence"])
-def test_diagnosis_of_the_largest_recording_with_several_causes_takes_500_mb_and_30_s(
-    effects: str, tmp_path: Path
-) -> None:
-    recording, injected = str(noisy_monitoring(LARGEST["diagnose"], tmp_path)), str(tmp_path / "injected")
+def test_diagnosis_of_1500_pointings_with_several_causes_takes_500_mb_and_30_s(effects: str, tmp_path: Path) -> None:
+    recording, injected = str(noisy_monitoring(1_500, tmp_path)), str(tmp_path / "injected")
     means(VERB, "inject", recording, *effects.split(), "--noncentrality", "400", "--out", injected)
     used = means(VERB, "diagnose", injected, "--out", str(tmp_path / "out"))
     assert lt.read(tmp_path / "out").verdict == "mismatch"

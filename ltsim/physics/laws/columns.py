@@ -155,6 +155,12 @@ def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
     """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
     x = sightings.quantities[name]
     x = np.abs(x) if name.startswith(MEMORY_PREFIXES) else x - x.mean()
+    slow = lagged(x, sightings, memory)
+    return np.hstack([unit_rms(slow[:, None]), unit_rms((x - slow)[:, None])])
+
+
+def lagged(x: Floats, sightings: Sightings, memory: float) -> Floats:
+    """Values (n,) of a quantity (n,) after a first-order lag with a time constant [s], at its first value before."""
     rows = sightings.order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
     slow = np.empty_like(x)
@@ -162,7 +168,7 @@ def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
     for row, value, gain in zip(rows.tolist(), x[rows].tolist(), share.tolist(), strict=True):
         now += gain * (value - now)
         slow[row] = now
-    return np.hstack([unit_rms(slow[:, None]), unit_rms((x - slow)[:, None])])
+    return slow
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:

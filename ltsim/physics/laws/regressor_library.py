@@ -53,6 +53,7 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
         *CLOCKS,
         "azimuth",
         "elevation",
+        *_CIRCLES,
         "distance",
         "wound-azimuth",
         "work-azimuth",
@@ -73,7 +74,7 @@ MIN_TARGETS_NEAR = 2.5
 """Smallest effective number of targets near a position."""
 PLACES_NEAR = ("xyz", "xy")
 """Shapes of the regions for nearness of targets."""
-TEMPORARY_SHAPES = ("xy", "x", "y")
+TEMPORARY_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act for a part of the work."""
 PARTS, MIN_TIMES = (2, 4), 12
 """Numbers of equal parts of the work, in one of which a region may act; smallest number of distinct times."""
@@ -167,7 +168,7 @@ def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Re
             *(simple(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lags(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*_each_visit(s, FEW_VISITS + 1), *_each_before(s)],
+        "amounts": [*visits(s, FEW_VISITS + 1), *_each_before(s)],
         "wave": list(waves(s)),
         "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_regressors(s), 2)],
         "shape": [
@@ -226,9 +227,11 @@ def local_regressors(sightings: Sightings) -> list[Regressor]:
 
 def group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors of a group of targets: joint motion, sudden or gradual, different at each set-up, or a tilt."""
-    local, each, steps = local_regressors(sightings), _each_visit(sightings, 2), _steps(sightings)
+    local, each, steps = local_regressors(sightings), visits(sightings, 2), _steps(sightings)
     return {
         "constant": [CONSTANT],
+        "sign": [simple(name, "power") for name in _varying(sightings, _SIGNS[3:])],
+        "curve": [smooth(name, LOW) for name in _varying(sightings, _NEST[:1])],
         "clock": local,
         "step": steps,
         "amounts": each,
@@ -252,7 +255,8 @@ def _signs_differ(sightings: Sightings) -> bool:
     return abs(float(parity @ seating)) < len(parity)
 
 
-def _each_visit(sightings: Sightings, least: int) -> list[Regressor]:
+def visits(sightings: Sightings, least: int) -> list[Regressor]:
+    """Regressor with a separate amount for each set-up; none for fewer than `least`, and for many."""
     count = len(np.unique(sightings.station))
     return [amounts("station", count)] if least <= count <= MAX_VISITS else []
 

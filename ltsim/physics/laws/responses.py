@@ -127,6 +127,7 @@ _TARGETS = ResponseTerm("place of targets", "um", MOTION, (), "target", ("along 
 _NORMAL = ResponseTerm("height of targets in their nests", "um", MOTION, (), "target")
 _AIR = ResponseTerm("air gradient", "K/m", 1.0, (), "air")
 _VERTEX = ResponseTerm("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
+_LEVEL = ResponseTerm("level displacement of reflectors towards the instrument", "um", LENGTH, (), "reflector")
 
 
 def _reading(sightings: Sightings, observable: str) -> Floats:
@@ -155,6 +156,13 @@ def _vertex(sightings: Sightings) -> Floats:
     return by_displacement(sightings, reflector_axes(sightings))
 
 
+def _towards_instrument(sightings: Sightings) -> Floats:
+    """Change of the readings per unit of a horizontal motion of the reflectors towards the instrument."""
+    way = sightings.position[sightings.station] - sightings.points[sightings.target]
+    level = way * [1.0, 1.0, 0.0]
+    return by_displacement(sightings, (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None])[:, :, None])
+
+
 Derivative = Callable[[Sightings], Floats]
 
 
@@ -171,6 +179,7 @@ def _registry() -> dict[str, tuple[ResponseTerm, Derivative]]:
         (_AIR, AirGradient().design),
         (_NORMAL, _along_nest),
         (_VERTEX, _vertex),
+        (_LEVEL, _towards_instrument),
     ]
     return {carrier.name: (carrier, derivative) for carrier, derivative in derivatives}
 

@@ -43,7 +43,8 @@ class VarianceFunction(NoiseSignature):
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`
     (targets, stations or readings) has a separate value, and with `per_observable` one for each observable. For a
     `region` of the hall the pattern is the length of the line of sight in it. With a `band` the pattern is 1 from its
-    first to its second value of the covariate, round the circle for directions, and 0 elsewhere.
+    first to its second value of the covariate, round the circle for directions, from its third to its fourth and so
+    on, and 0 elsewhere.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -99,7 +100,8 @@ class VarianceFunction(NoiseSignature):
         if not self.covariates:
             return "larger noise"
         if self.band:
-            return f"larger noise in a band of {self.covariates[0]}"
+            several = "bands" if len(self.band) > 2 else "a band"
+            return f"larger noise in {several} of {self.covariates[0]}"
         return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
@@ -126,11 +128,15 @@ class VarianceFunction(NoiseSignature):
 
     def inside(self, sightings: Sightings) -> Bools:
         """Pointings (n,) within the band of the covariate."""
-        (low, high), name = self.band, self.covariates[0]
+        name = self.covariates[0]
         x = size_or_value(sightings, name)
-        if name in CIRCULAR:
-            return np.asarray(np.remainder(x - low, 2.0 * np.pi) <= high - low)
-        return np.asarray((x >= low) & (x <= high))
+        inside = np.zeros(len(x), dtype=bool)
+        for low, high in zip(self.band[::2], self.band[1::2], strict=True):
+            if name in CIRCULAR:
+                inside |= np.remainder(x - low, 2.0 * np.pi) <= high - low
+            else:
+                inside |= (x >= low) & (x <= high)
+        return inside
 
     def _grown(self, sigma: Floats, added: Floats) -> Floats:
         """Variance (n, 3) with an added fraction (n,) in its observables."""

@@ -100,9 +100,12 @@ MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
 AT_EACH_SET_UP = ", in its own way at each set-up"
 """Suffix of the regressor of a law with separate coefficients for each set-up."""
+RATIO = ", components in the ratio {values}"
+"""Suffix of the regressor of a law whose components have a fixed ratio."""
 AT_EACH = ", another at each instrument"
 """Suffix of a product whose other factor is separate for each instrument."""
 SWITCH = "a switch of {x}, on from {spans}"
+SWITCH_LAG = ", followed with a lag of {value}"
 START = "the start"
 """Text form of the start of a span that began before the first pointing."""
 BETWEEN = {"product": " times ", "pieces": ", "}
@@ -163,7 +166,14 @@ def _switch_words(driver: Regressor, *, clock: bool) -> str:
     if driver.factors[0].constant == -np.inf:
         values[0] = START
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
-    return SWITCH.format(x=name, spans=", ".join(spans))
+    lag = SWITCH_LAG.format(value=value_of("time", driver.constant, clock=clock)) if driver.constant else ""
+    return SWITCH.format(x=name, spans=", ".join(spans)) + lag
+
+
+def law_suffix(law: Law) -> str:
+    """Text after the regressor of a law: separate coefficients for each set-up, ratio of the components."""
+    ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
+    return (AT_EACH_SET_UP if law.each else "") + ratio
 
 
 def region_words(region: Region) -> str:
@@ -194,8 +204,10 @@ _REGION = re.compile(
     rf"at (?P<at>.+), width (?P<width>{_NUMBER}) m"
 )
 _COORDINATE = re.compile(rf"([xyz]) ({_NUMBER}) m")
+_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER}(?: / {_NUMBER})*)')}")
 _LATCH = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
-_SWITCH = re.compile(r"a switch of (?P<x>.+), on from (?P<spans>.+)")
+_LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER}) (?P<unit>[a-z]+)")
+_SWITCH = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
 _STEPS = re.compile(r", (?=step\(|ramp\()")
 
 
@@ -205,6 +217,9 @@ def read_law(
     """Law from its response and the text form of its regressor (see `describe`), at some places; raises ModelError."""
     if carrier not in RESPONSES:
         raise ModelError(f"there is no response called '{carrier}'; responses are {', '.join(RESPONSES)}")
+    ratio = _RATIO.fullmatch(words)
+    direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
+    words = ratio["words"] if ratio else words
     driver, each = read_regressor(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
     if each and (stations or targets):
         raise ModelError(f"'{words}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
@@ -219,7 +234,10 @@ def read_law(
             for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
-    return Law(recording.stations if each else stations, targets, RESPONSES[carrier][0], driver, each=each)
+    law = Law(recording.stations if each else stations, targets, RESPONSES[carrier][0], driver, each=each)
+    if direction and len(direction) != law.components:
+        raise ModelError(f"'{words}': expected a ratio of {law.components} components, not of {len(direction)}")
+    return replace(law, direction=direction)
 
 
 def read_regressor(words: str, recording: Recording, modes: int = MODES) -> Regressor:
@@ -270,19 +288,22 @@ def read_regressor(words: str, recording: Recording, modes: int = MODES) -> Regr
 
 def _read_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
     """Switch from its text form; raises ModelError."""
-    name, edges = match["x"], list[Regressor]()
+    name, edges, lag = match["x"], list[Regressor](), 0.0
+    is_covariate = name in {*READING_COVARIATES, *recording.circumstances}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
         if text == START and not edges:
             edges.append(simple(name, "step", -np.inf))
             continue
         value = re.fullmatch(_GROUPS["value"], text)
-        if value is None or name not in CLOCKS:
+        if value is None or not is_covariate:
             raise ModelError(f"'{words}': expected words such as '{EXAMPLES[-1]}'")
         edges.append(simple(name, "step", _constant(words, name, value.groupdict(), recording.has_clock)))
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
         raise ModelError(f"'{words}': expected times that increase")
-    return switch(edges)
+    if match["value"]:
+        lag = _constant(words, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
+    return replace(switch(edges), constant=lag)
 
 
 def _read_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
