@@ -157,6 +157,7 @@ class AcceptancePlan:
         gaps = np.linalg.norm((tried / prior @ harm.T).reshape(len(tried), -1, 3), axis=2)
         rms = np.sqrt(np.mean(gaps**2, axis=1))
         best = int(rms.argmax())
+        tried[np.abs(tried) < ROUNDING_SHARE * prior] = 0.0
         return tried[best], float(rms[best]), float(gaps[best].max())
 
     def _stretched(self, direction: Floats, prior: Floats) -> Floats:

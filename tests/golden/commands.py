@@ -11,6 +11,7 @@ import contextlib
 import csv
 import io
 import json
+import math
 import os
 import shlex
 import tempfile
@@ -23,6 +24,8 @@ import numpy as np
 
 from ltsim.cli.main import run
 
+NO_LENGTH_UM = 1e-8
+"""Length [um] that is rounding of coordinates in metres."""
 NUMBERS = Path(__file__).with_name("numbers.json")
 """The numbers of all commands."""
 SCENARIO = (
@@ -227,7 +230,7 @@ def _numbers(files: list[Path], printed: str) -> dict[str, list[float]]:
             for row in csv.DictReader(path.read_text("utf-8").splitlines()):
                 for head, cell in row.items():
                     with contextlib.suppress(TypeError, ValueError):
-                        columns[f"{path.as_posix()}:{head}"].append(float(cell))
+                        columns[f"{path.as_posix()}:{head}"].append(_comparable(head, float(cell)))
     return {key: _summary(np.array(values)) for key, values in columns.items()}
 
 
@@ -239,7 +242,17 @@ def _collect(columns: dict[str, list[float]], key: str, value: Any) -> None:
         for part in value:
             _collect(columns, f"{key}[]", part)
     elif isinstance(value, bool | int | float):
-        columns[key].append(float(value))
+        columns[key].append(_comparable(key, float(value)))
+
+
+def _comparable(key: str, value: float) -> float:
+    """A number that depends on the rounding of a processor as little as the readings do.
+
+    The logarithm of a p-value, whose relative error is half the error of chi-square; zero for less than `NO_LENGTH_UM`.
+    """
+    if key.endswith("p_value"):
+        return math.log(value) if value > 0.0 else -math.inf
+    return 0.0 if key.endswith("_um") and abs(value) < NO_LENGTH_UM else value
 
 
 def _summary(values: np.ndarray) -> list[float]:

@@ -11,8 +11,14 @@ import pytest
 
 from tests.golden.commands import COMMANDS, NUMBERS, STATUS, written
 
-AGREEMENT = 1e-9
-"""Largest difference of a number, relative to the root mean square of its column."""
+AGREEMENT = 1e-8
+"""Largest difference of a number, relative to the root mean square of its column: the linear algebra of the kernels
+Nehalem, Haswell and SkylakeX differs by up to 1e-9.
+"""
+DIFFERENCES = {"curvature": 1e-5, "largest_difference_sigma": 1e-4, "parameters[].sigma": 1e-6}
+"""The same by the end of the key for numbers that are small differences of large ones: between an exact and a linear
+result, between two solvers, and the width of a posterior by a sum over a grid.
+"""
 
 
 def test_thirty_commands_of_all_verbs_are_listed() -> None:
@@ -32,6 +38,7 @@ def test_the_numbers_are_those_of_the_file(tmp_path: Path, monkeypatch: pytest.M
         for key, values in columns.items():
             count, rms, weighted = expected[name][key]
             scale = [1.0, rms, rms * max(count, 1.0)]
-            if not np.all(np.abs(np.subtract(values, (count, rms, weighted))) <= AGREEMENT * np.array(scale)):
+            agreement = next((a for end, a in DIFFERENCES.items() if key.endswith(end)), AGREEMENT)
+            if not np.all(np.abs(np.subtract(values, (count, rms, weighted))) <= agreement * np.array(scale)):
                 differences.append(f"{name} {key}: {values}, expected {[count, rms, weighted]}")
     assert not differences

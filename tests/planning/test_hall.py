@@ -324,7 +324,8 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
 
 
 @pytest.mark.long
-def test_a_hall_of_196608_triangles_takes_500_mb_and_30_s(tmp_path: Path) -> None:
+@pytest.mark.parametrize("pictures", [False, True])
+def test_a_hall_of_196608_triangles_takes_500_mb_and_30_s(tmp_path: Path, pictures: bool) -> None:
     body = trimesh.creation.box(extents=[2500, 1500, 2200])
     for _ in range(7):
         body = body.subdivide()
@@ -332,6 +333,8 @@ def test_a_hall_of_196608_triangles_takes_500_mb_and_30_s(tmp_path: Path) -> Non
     (tmp_path / "points.csv").write_text(points_csv())
     plan = tmp_path / "plan.toml"
     plan.write_text(HALL.replace("box_mm = [2500, 1500, 2200]", 'file = "body.stl"').replace("4000, 0]", "4000, 1100]"))
-    used = means(VERB, "plan", str(plan), "--jobs", "1", "--json")
+    used = means(
+        VERB, "plan", str(plan), "--jobs", "1", *(["--out", str(tmp_path / "out")] if pictures else ["--json"])
+    )
     assert used.ru_maxrss < 500 * 1024
     assert used.ru_utime + used.ru_stime < 30

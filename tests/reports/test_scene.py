@@ -12,7 +12,8 @@ from matplotlib import image
 from ltsim.core.randomness import stream
 from ltsim.reports import scene3d, workshop
 from ltsim.reports.document import CONTENT_SECURITY_POLICY
-from ltsim.reports.figures.floor_plan import FEW_TRIANGLES, floor_plan
+from ltsim.reports.figures.floor_plan import floor_plan
+from ltsim.reports.figures.obstacles import FEW_TRIANGLES
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.style import svg
 from ltsim.simulation.scenario import load_scenario
@@ -131,6 +132,19 @@ def test_obstacle_hides_and_is_drawn() -> None:
     bounds = plotter.actors["obstacles"].bounds
     assert bounds == pytest.approx((0.9, 2.1, 1.1, 1.9, 0.0, 2.6))
     plotter.close()
+
+
+def test_triangles_of_both_senses_are_filled_where_they_overlap() -> None:
+    """The upper and the lower side of a body are seen in opposite senses from above."""
+    upper = np.array([[[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [1.0, 4.0, 1.0]]])
+    room = workshop.from_scenario(load_scenario("paper-workshop"))
+    pixels = []
+    for obstacles in (upper, np.concatenate([upper, upper[:, ::-1] - [0.0, 0.0, 1.0]])):
+        figure, stream_ = floor_plan(replace(room, obstacles=obstacles)), io.BytesIO()
+        figure.savefig(stream_, format="png")
+        stream_.seek(0)
+        pixels.append(image.imread(stream_))
+    assert np.abs(pixels[0] - pixels[1]).mean() < 1e-3
 
 
 def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> None:

@@ -30,6 +30,8 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 P = TypeVar("P")
 CONFUSABLE = 0.9
 """Fraction of a signature that another effect explains from which the two count as confusable."""
+ROUNDING = 1e-9
+"""Information on a term of the calibration, relative to that of its prior, that rounding may produce."""
 BATCH = 512
 """Number of rows that are projected together."""
 MOST_PLACES = 150
@@ -200,6 +202,7 @@ def examine_baseline(adjustment: Adjustment, effect: Effect) -> EffectDetectabil
     at = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
+    information[np.diag(information) * prior**2 < ROUNDING] = 0.0
     sizes = _smallest(information, noncentrality(len(information)))
     return EffectDetectability(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 

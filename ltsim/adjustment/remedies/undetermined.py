@@ -7,7 +7,7 @@ below one half is called undetermined: its prior is more precise than the readin
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -28,6 +28,14 @@ MATERIAL = 0.05
 """Smallest increase of a gain that is worth a measurement."""
 
 
+ROUNDING = 1e-9
+"""Gain, and difference of gains, that rounding may produce."""
+TIE = 1e-6
+"""Relative difference up to which coefficients count as equal, so that rounding decides neither a sign nor an order."""
+MOST_SWEEPS, SMALLEST_ANGLE = 200, 1e-13
+"""Largest number of sweeps of planar rotations, and largest angle [rad] of a sweep after which they have converged."""
+
+
 @dataclass(frozen=True)
 class Direction:
     """Combination of parameters: a unit vector (p,) in prior sigmas, and its gain."""
@@ -36,10 +44,11 @@ class Direction:
     gain: float
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
-        """Coefficients above 0.1 by name, largest first; the largest is positive."""
-        vector = self.vector * np.sign(self.vector[np.argmax(np.abs(self.vector))])
-        order = np.argsort(-np.abs(vector), kind="stable")
-        return {names[i]: float(vector[i]) for i in order if abs(vector[i]) > SHOWN}
+        """Coefficients above 0.1 by name, largest first; the largest is positive, the first of equally large ones."""
+        size = np.abs(self.vector)
+        order = np.argsort(-np.round(size / TIE), kind="stable")
+        sign = np.sign(self.vector[_first_of_largest(size)])
+        return {names[i]: float(sign * self.vector[i]) for i in order if size[i] > SHOWN}
 
 
 def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
@@ -62,31 +71,54 @@ def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
     vectors = np.concatenate([simple_rotation(vectors[:, silent]), vectors[:, ~silent]], axis=1)
     scaled = covariance / np.outer(prior_sigma, prior_sigma)
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled, vectors)
-    combinations = [Direction(vectors[:, i], float(max(gain[i], 0.0))) for i in np.flatnonzero(gain < DETERMINED)]
-    return sorted(combinations, key=lambda direction: direction.gain)
+    gain = np.where(gain < ROUNDING, 0.0, gain)
+    weak = [Direction(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < DETERMINED)]
+    return sorted(weak, key=lambda d: (round(d.gain / ROUNDING), _first_of_largest(np.abs(d.vector))))
 
 
-def simple_rotation(vectors: Floats, steps: int = 200) -> Floats:
+def _first_of_largest(sizes: Floats) -> int:
+    """Index of the first of the largest sizes that are equal up to rounding."""
+    return int(np.flatnonzero(sizes >= (1.0 - TIE) * sizes.max())[0])
+
+
+def simple_rotation(vectors: Floats) -> Floats:
     """Orthonormal columns rotated among themselves so that each has few large coefficients.
+
+    The result depends on the span of the columns alone: planar rotations of pairs begin at a basis of it that is formed
+    by the projections of the parameters, and converge to rounding.
 
     References
     ----------
     Kaiser, The varimax criterion, Psychometrika 23 (1958) 187.
     """
-    count = vectors.shape[1]
-    if count < 2:
-        return vectors
-    rotation, before = np.eye(count), 0.0
-    for _ in range(steps):
-        turned = vectors @ rotation
-        cubic = turned**3 - turned * np.mean(turned**2, axis=0)
-        u, spread, right = np.linalg.svd(vectors.T @ cubic)
-        rotation = u @ right
-        total = float(spread.sum())
-        if total < before * (1 + 1e-9):
+    columns = list(_basis_of_span(vectors).T)
+    for _ in range(MOST_SWEEPS):
+        largest = 0.0
+        for i, j in combinations(range(len(columns)), 2):
+            x, y = columns[i], columns[j]
+            u, v = x**2 - y**2, 2.0 * x * y
+            sine = 2.0 * (u @ v - u.sum() * v.sum() / len(u))
+            cosine = u @ u - v @ v - (u.sum() ** 2 - v.sum() ** 2) / len(u)
+            if np.hypot(sine, cosine) > ROUNDING:
+                angle = 0.25 * np.arctan2(sine, cosine)
+                columns[i], columns[j] = (
+                    np.cos(angle) * x + np.sin(angle) * y,
+                    np.cos(angle) * y - np.sin(angle) * x,
+                )
+                largest = max(largest, abs(angle))
+        if largest < SMALLEST_ANGLE:
             break
-        before = total
-    return vectors @ rotation
+    return np.array(columns).reshape(-1, len(vectors)).T
+
+
+def _basis_of_span(vectors: Floats) -> Floats:
+    """Orthonormal basis (p, k) of the span of orthonormal columns (p, k), by pivoted Cholesky of its projector."""
+    projector, basis = vectors @ vectors.T, np.empty_like(vectors)
+    for k in range(vectors.shape[1]):
+        i = _first_of_largest(np.diag(projector))
+        basis[:, k] = projector[:, i] / np.sqrt(projector[i, i])
+        projector = projector - np.outer(basis[:, k], basis[:, k])
+    return basis
 
 
 def determining(
@@ -105,8 +137,8 @@ def determining(
     worth = chain(cheap, returns(network, 0.0, [0]), near_reflectors(network))  # the cheapest first
     tried = [(r.words, _gains_along(r.network, directions)) for r in worth]
     return [
-        [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(combinations)]
-        for i, combinations in enumerate(directions)
+        [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(weak)]
+        for i, weak in enumerate(directions)
     ]
 
 
@@ -115,10 +147,10 @@ def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) ->
     try:
         covariance, prior = network.parameter_covariance()
     except NetworkError:
-        return [[0.0 for _ in combinations] for combinations in directions]
+        return [[0.0 for _ in weak] for weak in directions]
     return [
-        [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in combinations]
-        for block, sigma, combinations in zip(covariance, prior, directions, strict=True)
+        [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in weak]
+        for block, sigma, weak in zip(covariance, prior, directions, strict=True)
     ]
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse, Polygon
@@ -17,6 +16,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.planning.plan_change import PlanChange
 from ltsim.reports import style
+from ltsim.reports.figures.obstacles import draw_obstacles
 from ltsim.reports.workshop import PlacedWorkshop
 from ltsim.scene.floor import Floor, FloorArea, distance
 
@@ -72,8 +72,6 @@ LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.
 MAX_LABELS = 60
 FEW_DOTS = 150
 """Number of targets above which their marks are rasterised."""
-FEW_TRIANGLES = 2_000
-"""Number of triangles of obstacles above which they are rasterised: as vectors each takes 200 bytes of a page."""
 MAX_PLACES, MAX_STACKED = 16, 4
 NEAR = 0.05
 """Distance within which targets share a label, over the size of the floor."""
@@ -116,7 +114,7 @@ def floor_plan(
     )
     _walls(ax, workshop)
     names = _ground(ax, ground) if ground is not None else []
-    _obstacles(ax, workshop)
+    draw_obstacles(ax, workshop.obstacles)
     _shadows(ax, workshop)
     _gauge(ax, workshop)
     visible = _sight_matrix(workshop)
@@ -207,21 +205,6 @@ def _shadows(ax: Axes, workshop: PlacedWorkshop) -> None:
         for s, radius in enumerate(workshop.shadow_radius(opening)):
             word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
             ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, label=word, **how))
-
-
-def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
-    if len(workshop.obstacles):
-        ax.add_collection(
-            PolyCollection(
-                list(workshop.obstacles[:, :, :2]),
-                facecolors="#B9A98C",
-                edgecolors="#B9A98C",
-                linewidths=0.3,
-                rasterized=len(workshop.obstacles) > FEW_TRIANGLES,
-            ),
-            autolim=False,
-        )
-        ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
 
 
 def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
