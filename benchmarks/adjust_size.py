@@ -22,8 +22,8 @@ import numpy as np
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import make_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 
@@ -68,8 +68,8 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
         readings=np.zeros((len(station), 3)),
     )
     rotation = np.stack([about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
-    state = State(position, rotation, points[names], np.zeros((1, 0)))
-    exact = MeasurementModel(recording, construction("ideal")).predict(state)
+    state = NetworkState(position, rotation, points[names], np.zeros((1, 0)))
+    exact = MeasurementModel(recording, make_construction("ideal")).predict(state)
     recording = recording.with_readings(exact)
     return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
 
@@ -83,7 +83,7 @@ def measured(case: Case) -> dict[str, float | str]:
     best = (np.inf, np.inf, np.inf)
     for _ in range(3):
         wall, start = time.perf_counter(), time.process_time()
-        found = adjust(recording, construction(built))
+        found = adjust(recording, make_construction(built))
         solved = time.process_time()
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         poses, redundancy = found.pose_covariance, found.redundancy

@@ -43,7 +43,7 @@ from ltsim.campaigns.store import Store
 from ltsim.campaigns.truth import BLOCK, TrialBatch
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import aligned
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import load_scenario
 
 SEED = 11
@@ -65,14 +65,14 @@ def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: F
     if full is None:
         return float("nan")
     z = np.abs(values - own[0]) / engine.network.sigma_values[0]
-    gap = np.abs(on_points(points, full.state.points) - full.state.points) / engine.sigma_targets
+    gap = np.abs(on_points(points, full.state.target_points) - full.state.target_points) / engine.sigma_targets
     return float(max(z.max(), gap.max()))
 
 
 def peers(trials: int) -> None:
     """The table of solvers."""
     truth = workshop()
-    engine, judge = BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
+    engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     block = truth.draw(SEED, 0)
     found = engine.calibrate(block)
     judge.before(block)
@@ -88,7 +88,7 @@ def peers(trials: int) -> None:
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
     batch = seconds(lambda: engine.calibrate(block), 20) / BLOCK
     agreement = max(
-        difference(engine, block, k, found.values[0, :, k], truth.state.points + found.points[:, :, k])
+        difference(engine, block, k, found.values[0, :, k], truth.state.target_points + found.points[:, :, k])
         for k in range(trials)
     )
     whole = seconds(everything, 20) / BLOCK
@@ -142,7 +142,7 @@ def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
 def parts() -> None:
     """Where the time of a trial goes."""
     truth = workshop()
-    engine, judge = BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
+    engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     network, block = engine.network, truth.draw(SEED, 0)
     found = engine.calibrate(block)
     x, predicted = network._linear_start(block.deviation, block.gauge_error)
@@ -172,12 +172,12 @@ def parts() -> None:
 def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
     truth, every = workshop(), np.arange(BLOCK)
-    batch, block = BatchDistance(truth, misalignment()), truth.draw(SEED, 0)
+    batch, block = BatchDistance(truth, misalignment_construction()), truth.draw(SEED, 0)
     found = batch.calibrate(block, every)
     worst = max(batch.difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / BLOCK
     single = seconds(lambda: batch.single.calibrate(block, np.array([0])), 3)
-    absolute, some = BatchDistance(truth, misalignment(), method="distance-l1"), np.arange(16)
+    absolute, some = BatchDistance(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
     apart = max(absolute.difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
@@ -205,7 +205,7 @@ def scaling(short: bool) -> None:
     rows = []
     for stations, targets in sizes:
         truth = room(stations, targets)
-        engine = BatchCalibrator(truth, misalignment())
+        engine = BatchCalibrator(truth, misalignment_construction())
         start = time.process_time()
         block = truth.draw(SEED, 0)
         engine.calibrate(block)

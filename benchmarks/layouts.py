@@ -48,7 +48,7 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
     good = search.site.feasible(position, seen.reshape(BATCH, count, -1))
     blocks = search.reducer.blocks(flat, yaw.ravel(), visible=seen)
     reduced = search.reducer.reduce(blocks, np.arange(BATCH * count).reshape(BATCH, count))
-    values = search.objective.values(reduced, search.construction.size)
+    values = search.objective.values(reduced, search.construction.n_parameters)
     return int(np.sum(np.isfinite(values) & good))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import State, sightings_of
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
@@ -54,8 +54,8 @@ def room(stations: int, targets: int) -> CellTruth:
         time=np.arange(len(station), dtype=np.float64),
         readings=to_face(to_polar(local), face),
     )
-    built = misalignment()
-    state = State(position, rotation, points, np.zeros((1, built.size)))
+    built = misalignment_construction()
+    state = NetworkState(position, rotation, points, np.zeros((1, built.n_parameters)))
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
     population = TrialDraws(
         sightings=sightings_of(recording, state),

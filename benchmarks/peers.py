@@ -21,7 +21,7 @@ from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 TOLERANCE = 1e-8
@@ -42,12 +42,12 @@ class DenseProblem:
 
     recording: Recording
     construction: Construction
-    start: State
+    start: NetworkState
     _seen: dict[bytes, tuple[Floats, ...]] = field(default_factory=dict)
 
     @cached_property
     def _start(self) -> tuple[Floats, Floats, Floats]:
-        return self.start.position, self.start.rotation, self.start.points
+        return self.start.station_positions, self.start.station_rotations, self.start.target_points
 
     @cached_property
     def _gauge(self) -> GaugeRows:
@@ -64,7 +64,7 @@ class DenseProblem:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return 6 * (len(self._start[0]) - 1) + self._start[2].size + self.construction.size
+        return 6 * (len(self._start[0]) - 1) + self._start[2].size + self.construction.n_parameters
 
     def state(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Positions, rotations, targets and parameters at unknowns (K,)."""

@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
 PROBE = 90.0 * DEGREE
@@ -33,7 +33,7 @@ LOBES = (2, 3, 5)
 class BenchTest:
     """What is true on the bench; SI."""
 
-    table: Floats = field(default_factory=lambda: np.array(PAPER_TABLE))
+    table: Floats = field(default_factory=lambda: np.array(PAPER_RANGE_ERRORS))
     """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `TABLE_ANGLES`."""
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""

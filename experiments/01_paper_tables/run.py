@@ -72,7 +72,7 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataF
         assert cell.judge is not None
         there, elsewhere, _ = work.new_points
         room, names = there.truth, here.truth.recording.stations
-        true = (room.state.points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
+        true = (room.state.target_points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
         nominal = {i: nominal_points(*true, int(block.trials[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).values

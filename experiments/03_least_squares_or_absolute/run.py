@@ -17,7 +17,7 @@ from ltsim.core.parallel import parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
@@ -32,18 +32,18 @@ class WithoutOutliers:
 
     def __init__(self, truth: CellTruth) -> None:
         self.truth = truth
-        self.construction: Construction = misalignment()
+        self.construction: Construction = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
 
     def calibrate(self, block: TrialBatch, wanted: Ints) -> Calibrated:
         """Calibrate a block trial by trial."""
-        count, true = block.deviation.shape[2], self.truth.state.points
-        values, points = np.zeros((1, self.construction.size, count)), np.zeros((*true.shape, count))
+        count, true = block.deviation.shape[2], self.truth.state.target_points
+        values, points = np.zeros((1, self.construction.n_parameters, count)), np.zeros((*true.shape, count))
         chi2 = np.zeros(count)
         for i in wanted:
             adjustment = self.cleaned(recording_of(self.truth, block, int(i)))
-            values[0, :, i] = adjustment.state.instrument[0]
-            points[:, :, i] = on_points(adjustment.state.points, true) - true
+            values[0, :, i] = adjustment.state.instrument_parameters[0]
+            points[:, :, i] = on_points(adjustment.state.target_points, true) - true
             chi2[i] = adjustment.chi2
         return Calibrated(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
 

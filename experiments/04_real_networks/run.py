@@ -24,8 +24,8 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects import BASELINE
-from ltsim.physics.model.construction import ideal, misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings import Recording, read
 from ltsim.recordings.recording import HEIGHT_COLUMNS, OBSERVABLES
 
@@ -107,22 +107,24 @@ def to_marks(ours: Adjustment) -> Recording:
         setup=recording.setup.model_copy(update={"targets": targets, "stations": stations}),
         covariates={k: v for k, v in recording.covariates.items() if k not in HEIGHT_COLUMNS},
     )
-    marks = ours.state.position - ours.problem.marks.offset
-    state = State(marks, ours.state.rotation, ours.state.points, ours.state.instrument)
-    return flat.with_readings(MeasurementModel(flat, ideal()).predict(state) + ours.residuals)
+    marks = ours.state.station_positions - ours.problem.marks.offset
+    state = NetworkState(
+        marks, ours.state.station_rotations, ours.state.target_points, ours.state.instrument_parameters
+    )
+    return flat.with_readings(MeasurementModel(flat, ideal_construction()).predict(state) + ours.residuals)
 
 
 def best_turns(ours: Adjustment, name: str) -> float:
     """Least sum of squares with all points at the coordinates that gama-local printed."""
     theirs, recording, marks = gama_result(name), ours.recording, ours.problem.marks
-    points, position = ours.state.points.copy(), ours.state.position.copy()
+    points, position = ours.state.target_points.copy(), ours.state.station_positions.copy()
     for point, axis, value in zip(theirs.names, theirs.axis, theirs.value, strict=True):
         if point in recording.targets:
             points[recording.targets.index(point), axis] = value
         for s, mark in enumerate(marks.names):
             if mark == point:
                 position[s, axis] = value + marks.offset[s, axis]
-    state = State(position, ours.state.rotation, points, ours.state.instrument)
+    state = NetworkState(position, ours.state.station_rotations, points, ours.state.instrument_parameters)
     free = np.isin(np.arange(ours.problem.unknowns.size), ours.problem.unknowns.pose[:, 3:])
 
     def residual(turns: np.ndarray) -> np.ndarray:
@@ -204,7 +206,7 @@ CLEAR = 8.0
 def ring(out: Path) -> None:
     """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
     recording = read(DATA / RING)
-    space = ResidualSpace.of(adjust(recording, misalignment()))
+    space = ResidualSpace.of(adjust(recording, misalignment_construction()))
     left = np.full(space.use.shape, np.nan)
     left[space.use] = space.residual[: int(space.use.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
@@ -238,22 +240,23 @@ def geoeasy(out: Path) -> None:
     """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
     recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
     rows: Rows = []
-    for name, built in (("none", ideal()), ("16", misalignment())):
+    for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
         for way, options in (("as stated", {}), ("noise estimated", {"variance_components": "observable"})):
             found = adjust(recording, built, robust=bool(options), **options)
             factors = {c.observable: f"{c.factor:.2f}" for c in found.components}
             rows.append({"parameters": name, "way": way} | state_of(found) | factors)
     show_table(out / "geoeasy.csv", rows)
-    values, sigma = found.state.instrument[0], np.sqrt(np.diag(found.instrument_covariance))
+    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.instrument_covariance))
     show_table(out / "geoeasy_parameters.csv", [
-        {"parameter": p.name, "value": f"{v / p.factor:.2f}", "sigma": f"{s / p.factor:.2f}", "unit": p.unit}
+        {"parameter": p.name, "value": f"{v / p.si_per_display_unit:.2f}", "sigma": f"{s / p.si_per_display_unit:.2f}",
+         "unit": p.unit}
         for p, v, s in zip(built.parameters, values, sigma, strict=True) if abs(v) > 3 * s
     ])  # fmt: skip
 
 
 FIRST_ORDER = [e for e in BASELINE if set(SCANNER_TRUTH) & {p.name for p in e.parameters}]
 PARAMETERS = [p for e in FIRST_ORDER for p in e.parameters]
-UNITS = np.array([p.factor for p in PARAMETERS])
+UNITS = np.array([p.si_per_display_unit for p in PARAMETERS])
 TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])
 
 
@@ -264,9 +267,9 @@ def scanner_truth(out: Path) -> None:
         recording = scanner(known)
         errors = np.array([fitted(rounded(trial), known)[0] - TRUTH for trial in range(80)])
         found, sigma = fitted(recording, known)
-        exact = adjust(recording, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS
+        exact = adjust(recording, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS
         made_again = rounded(None) if known else without_points(rounded(None))
-        form = adjust(made_again, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS - TRUTH
+        form = adjust(made_again, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS - TRUTH
         gap = found - TRUTH
         joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
         for k, p in enumerate(PARAMETERS):
@@ -296,8 +299,8 @@ def choice_of_parameters(known: bool) -> Rows:
         for label, found in (("16", every), ("4", four)):
             k = found.names.index(p.name)
             sigmas.append(found.sigma[0, k])
-            row[f"found_{label}"] = f"{found.values[0, k] / p.factor:.1f}"
-            row[f"sigma_{label}"] = f"{sigmas[-1] / p.factor:.2f}"
+            row[f"found_{label}"] = f"{found.values[0, k] / p.si_per_display_unit:.1f}"
+            row[f"sigma_{label}"] = f"{sigmas[-1] / p.si_per_display_unit:.2f}"
         rows.append(row | {"sigma_ratio": f"{sigmas[0] / sigmas[1]:.1f}"})
     return rows
 
@@ -305,7 +308,7 @@ def choice_of_parameters(known: bool) -> Rows:
 def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and their standard deviations, to first order."""
     found = adjust(recording if known else without_points(recording), effects=FIRST_ORDER)
-    return found.state.extra / UNITS, np.sqrt(np.diag(found.extra_covariance)) / UNITS
+    return found.state.extra_parameters / UNITS, np.sqrt(np.diag(found.extra_covariance)) / UNITS
 
 
 def without_points(recording: Recording) -> Recording:
@@ -323,11 +326,12 @@ def rounded(trial: int | None) -> Recording:
     start = adjust(base, effects=FIRST_ORDER).state
     objects = {n: np.array(base.target_setup(n).known_mm) * MILLIMETRE for n in base.targets}
     moved = np.zeros((2, 2, 3)) if trial is None else stream(4, "rounding", trial).normal(0, 1e-4, (2, 2, 3))
-    state = State(
-        start.position + moved[0], from_rotation_vector(moved[1]) @ start.rotation, np.array(list(objects.values())),
+    state = NetworkState(
+        start.station_positions + moved[0], from_rotation_vector(moved[1]) @ start.station_rotations,
+        np.array(list(objects.values())),
         np.zeros((1, 0)), TRUTH * UNITS,
     )  # fmt: skip
-    local = from_polar(MeasurementModel(base, ideal(), tuple(FIRST_ORDER)).predict(state))
+    local = from_polar(MeasurementModel(base, ideal_construction(), tuple(FIRST_ORDER)).predict(state))
     local = local if trial is None else np.round(local, 4)
     scans = [{base.targets[t]: local[i] for i, t in enumerate(base.target) if base.station[i] == s} for s in range(2)]
     return scanner_recording(scans, objects, True)

@@ -47,7 +47,7 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
         position, yaw, visible = position[good], yaw[good], visible[good]
         blocks = search.reducer.blocks(position.reshape(-1, 3), yaw.ravel(), visible=visible.reshape(yaw.size, -1))
         reduced = search.reducer.reduce(blocks, np.arange(yaw.size).reshape(yaw.shape))
-        found = search.objective.values(reduced, search.construction.size)
+        found = search.objective.values(reduced, search.construction.n_parameters)
         values = np.concatenate([values, found])[:count]
         at = int(np.argmin(found[: count - len(values) + len(found)]))
         if found[at] < best[0]:
@@ -87,7 +87,7 @@ def corrections(information: LayoutInformation) -> Floats:
     """
     axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
     raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-    size = information.construction.size
+    size = information.construction.n_parameters
     _, _, by_value = information.construction.linearised(raw, np.zeros(size))
     return by_value.reshape(-1, size) * information.prior_sigma
 
@@ -124,7 +124,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     information = LayoutInformation.of(survey_of(scenario))
     predicted, found = information.instrument_sigma, results.z_scores()
     rows: list[Row] = [
-        {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.factor,
+        {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.si_per_display_unit,
          "ratio": np.hypot(z.mean, z.deviation), "z_mean": z.mean}
         for p, sigma, z in zip(information.construction.parameters, predicted, found, strict=True)
     ]  # fmt: skip

@@ -11,7 +11,7 @@ from ltsim.adjustment.fieldcheck.occupation import TwoFace
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.recordings import Hints, Recording, read
 from ltsim.recordings.setup import Noise
 
@@ -44,7 +44,7 @@ def set_up(recording: Recording, number: int) -> Recording:
 
 def snooped(recording: Recording, construction: Construction | None = None) -> tuple[Recording, list[Dropped]]:
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
-    built, dropped = construction or misalignment(), []
+    built, dropped = construction or misalignment_construction(), []
     while found := adjust(recording, built).outliers():
         i = found[0].row
         own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
@@ -69,7 +69,7 @@ def noise_found(rounds: int = 4) -> Noise:
     noise = START
     for _ in range(rounds):
         kept = [snooped(epoch(name, noise))[0] for name in EPOCHS]
-        factor = variance_factors([adjust(r, misalignment()) for r in kept])
+        factor = variance_factors([adjust(r, misalignment_construction()) for r in kept])
         noise = Noise(
             distance_mm=noise.distance_mm * factor[0],
             distance_ppm=noise.distance_ppm * factor[0],

@@ -22,7 +22,7 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.effects import BASELINE
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.setup import Noise
 
@@ -30,7 +30,7 @@ from .desy import AUTHORS, EPOCHS, clean, epoch, interferometer, noise_found, se
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
-SIX = misalignment([effect for effect in BASELINE if effect.name in FLIPPING])
+SIX = misalignment_construction([effect for effect in BASELINE if effect.name in FLIPPING])
 UNITS = ("um", "urad across", "urad elevation")
 BEFORE, AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
 Rows = list[dict[str, object]]
@@ -51,9 +51,9 @@ def noise(out: Path) -> None:
     rows: Rows = []
     for name in EPOCHS:
         kept, dropped = snooped(epoch(name, found))
-        adjusted = adjust(kept, misalignment())
+        adjusted = adjust(kept, misalignment_construction())
         own = variance_factors([adjusted])
-        by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment())
+        by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment_construction())
         rows.append({"epoch": name, "pointings": len(kept), "chi2/dof": round(adjusted.sigma0**2, 3),
                      "range factor": own[0].round(2), "azimuth factor": own[1].round(2),
                      "elevation factor": own[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
@@ -65,7 +65,7 @@ def noise(out: Path) -> None:
 def course(out: Path) -> None:
     found = found_noise(out)
     kept = {name: snooped(epoch(name, found))[0] for name in EPOCHS}
-    for label, construction in (("16", misalignment()), ("6", SIX)):
+    for label, construction in (("16", misalignment_construction()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
         history = History.of(CalibrationSeries.of(own))
         content = history.content()
@@ -89,13 +89,13 @@ def course(out: Path) -> None:
 CEILING = "ceiling: 16 parameters on the set-up they were fitted to"
 """What the model removes from the very pairs it was fitted to: nothing that transfers can do better."""
 METHODS = (
-    ("16 parameters", misalignment(), False, False),
-    (DEFAULT, misalignment(), False, False),
-    ("16 parameters, outliers out", misalignment(), True, False),
-    ("16 parameters, outliers out, history of other epochs", misalignment(), True, True),
+    ("16 parameters", misalignment_construction(), False, False),
+    (DEFAULT, misalignment_construction(), False, False),
+    ("16 parameters, outliers out", misalignment_construction(), True, False),
+    ("16 parameters, outliers out, history of other epochs", misalignment_construction(), True, True),
     ("6 parameters", SIX, False, False),
     ("6 parameters, outliers out", SIX, True, False),
-    (CEILING, misalignment(), True, False),
+    (CEILING, misalignment_construction(), True, False),
 )
 """Name, what is estimated, whether outliers of the calibrating set-up go, whether other epochs tell the prior."""
 
@@ -147,8 +147,8 @@ def lines(out: Path) -> None:
         kept = snooped(epoch(name, found))[0]
         spans = interferometer(name)
         back.append(spans.groupby("way").length.diff().dropna())
-        places = {"network, as read": adjust(kept).state.points,
-                  "network, calibrated": adjust(kept, misalignment()).state.points}  # fmt: skip
+        places = {"network, as read": adjust(kept).state.target_points,
+                  "network, calibrated": adjust(kept, misalignment_construction()).state.target_points}  # fmt: skip
         parts += [gaps(spans, kept.targets, points).assign(coordinates=how) for how, points in places.items()]
         for s in (0, 1):
             one, own = set_up(kept, s), calibrate_network(set_up(kept, 1 - s), advise=False)
@@ -212,7 +212,7 @@ def checks(out: Path) -> None:
         pairs, spans = two_face(recording), interferometer(name)
         own = recording.target[pairs.rows[:, 0]] == recording.targets.index("K6")
         row = {"epoch": name, "K6 half difference in range um": round(1e6 * pairs.half[own, 0].mean(), 1)}
-        points = adjust(recording, misalignment()).state.points
+        points = adjust(recording, misalignment_construction()).state.target_points
         for target in ("PQK36_3", "PQK62_10"):
             ends = spans[(spans["first"] == target) | (spans.second == target)]
             row[f"{target} less interferometer um"] = gaps(ends, recording.targets, points).gap.mean().round(1)

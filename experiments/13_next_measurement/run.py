@@ -15,8 +15,8 @@ from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import EffectEntry
@@ -26,18 +26,18 @@ from ltsim.simulation.truth import Truth
 
 def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
     """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
-    recording, construction = remedy.network.recording, misalignment()
+    recording, construction = remedy.network.recording, misalignment_construction()
     position, rotation = truth.position, truth.rotation
     if remedy.set_up is not None:
         place, yaw = remedy.set_up
         position = np.vstack([position, place])
         rotation = np.concatenate([rotation, about_z(yaw)[None]])
     order = [truth.target_names.index(name) for name in recording.targets]
-    values = np.array([[truth.instrument[name] for name in construction.names]])
-    state = State(position, rotation, truth.points[order], values)
+    values = np.array([[truth.instrument[name] for name in construction.parameter_names]])
+    state = NetworkState(position, rotation, truth.points[order], values)
     readings = MeasurementModel(recording, construction).predict(state)
     for applied in truth.applied:
-        readings = readings + applied.effect.shift(sightings_of(recording, state), applied.values)
+        readings = readings + applied.effect.reading_change(sightings_of(recording, state), applied.values)
     noise = stream(seed, "added").normal(size=readings.shape) * recording.sigma()
     added = np.arange(len(recording)) >= len(before)
     return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))

@@ -37,7 +37,7 @@ def squares(scenario: Scenario, weights: dict[str, float], number: int, width: i
     block = truth.draw(SEED, number, width)
     found = calibrator_of(Method(), truth).calibrate(block, np.arange(width))
     weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])
-    true = np.ascontiguousarray(np.broadcast_to(truth.state.points[:, :, None], found.points.shape))
+    true = np.ascontiguousarray(np.broadcast_to(truth.state.target_points[:, :, None], found.points.shape))
     moved = np.empty_like(true)
     rigid_fit(true + found.points, true, weight > 0, moved)
     return np.einsum("t,tkb->b", weight / weight.sum(), ((moved - true) / MICROMETRE) ** 2)

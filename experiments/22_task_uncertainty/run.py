@@ -13,7 +13,7 @@ from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, best_fit
 from ltsim.measurands.propagation import LinearUncertainty, expansion_of, propagate
 from ltsim.measurands.spec import Tasks, load_tasks
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import EffectEntry
 
@@ -34,9 +34,9 @@ def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number:
     Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
     frame of inner constraints, which the prediction is told in.
     """
-    engine = BatchCalibrator(truth, misalignment())
+    engine = BatchCalibrator(truth, misalignment_construction())
     found = engine.calibrate(truth.draw(seed, number))
-    drawn = truth.state.points + np.moveaxis(found.points, 2, 0)
+    drawn = truth.state.target_points + np.moveaxis(found.points, 2, 0)
     rotation, shift, _ = best_fit(placed, drawn)
     drawn = np.einsum("bji,btj->bti", rotation, drawn - shift[:, None])
     measurands = [Measurand.of(task, truth.recording.targets, placed) for task in tasks.task]
@@ -55,7 +55,7 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Linear
     inputs = Inputs.of(truth.recording, told)
     measurands = [Measurand.of(task, inputs.targets, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.factor) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, expansion_of(None)), names, inputs.origin.state.points
+    return propagate(inputs, measurands, expansion_of(None)), names, inputs.origin.state.target_points
 
 
 def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:

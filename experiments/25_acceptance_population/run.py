@@ -11,7 +11,7 @@ from ltsim.acceptance.prediction import AcceptancePlan, point_errors_by_constant
 from ltsim.acceptance.spec import builtin, envelope
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.specification import sheet
 from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
@@ -20,7 +20,7 @@ BLOCK = 1000
 
 def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     """Largest point error over its limit (`share`), and whether each plan is passed: an instrument a row."""
-    limits, built, points = sheet(config["sheet"]), misalignment(), envelope()
+    limits, built, points = sheet(config["sheet"]), misalignment_construction(), envelope()
     stated = limits.instrument()
     plans = {
         name: AcceptancePlan(
@@ -35,7 +35,7 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     for start in range(0, trials, BLOCK):
         rng = stream(config["seed"], "population", start)
         size = np.exp(rng.uniform(*np.log(config["spread"]), BLOCK))
-        units = rng.standard_normal((BLOCK, built.size)) * size[:, None]
+        units = rng.standard_normal((BLOCK, built.n_parameters)) * size[:, None]
         gaps = np.linalg.norm((units @ harm.T).reshape(BLOCK, -1, 3), axis=2)
         columns = {"share": np.max(gaps / limit, axis=1)}
         for name, plan in plans.items():

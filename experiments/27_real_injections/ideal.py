@@ -21,8 +21,8 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import wrap
 from ltsim.physics.effects import BASELINE, CATALOGUE
-from ltsim.physics.effects.effect import Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.effect import Blunder, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.model.construction import declared_construction
 
 from .injections import background, injection, placed, unit_of
@@ -36,7 +36,7 @@ STRENGTH = 100.0
 CARDS = tuple(
     kind.name
     for kind in CATALOGUE
-    if not issubclass(kind, NoiseEffect | Mistake) and kind.name not in {effect.name for effect in BASELINE}
+    if not issubclass(kind, NoiseEffect | Blunder) and kind.name not in {effect.name for effect in BASELINE}
 )
 """Effects of the catalogue that change readings and that the ordinary calibration does not estimate."""
 MOST_BACKGROUND = 5
@@ -48,7 +48,7 @@ class Instance:
     """A cause at one place and of one shape, and its kind in the words of the plan."""
 
     kind: str
-    cause: Tunable
+    cause: CandidateEffect
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -80,7 +80,7 @@ class Observer:
         """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
         found = []
         for instance in self.instances:
-            rows = self.space.signature(instance.cause) * instance.cause.spread
+            rows = self.space.signature(instance.cause) * instance.cause.size_scales
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
             visible = values > UNCHECKED * float(np.max(np.sum(rows**2, axis=0), initial=0.0))

@@ -227,8 +227,8 @@ def predicted(
         SensitivityEntry(
             name=p.name,
             unit=p.unit,
-            prior_sigma=float(prior[k] / p.factor),
-            smallest_failing=float(smallest[k] / p.factor),
+            prior_sigma=float(prior[k] / p.si_per_display_unit),
+            smallest_failing=float(smallest[k] / p.si_per_display_unit),
             test=first[k].name if np.isfinite(smallest[k]) else "",
         )
         for k, p in enumerate(parameters)
@@ -250,7 +250,7 @@ def predicted(
         tests=tests,
         sensitivities=sensitivities,
         worst_passing=WorstEntry(
-            constants={p.name: float(v / p.factor) for p, v in zip(parameters, values, strict=True)},
+            constants={p.name: float(v / p.si_per_display_unit) for p, v in zip(parameters, values, strict=True)},
             rms_um=rms / MICROMETRE,
             largest_um=largest / MICROMETRE,
         ),

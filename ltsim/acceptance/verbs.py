@@ -72,7 +72,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
     built = built if calibration is None else calibration.construction
     prior = np.array([p.sigma_from(nominal.prior) for p in built.parameters])
     if calibration is None:
-        mean, covariance = np.zeros(built.size), np.diag(prior**2)
+        mean, covariance = np.zeros(built.n_parameters), np.diag(prior**2)
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
         mean, covariance = calibration.values[0], calibration.covariance
@@ -172,7 +172,7 @@ def _lengths(
     station: str, adjusted: Adjustment, mean_points: dict[int, Floats], specification: Specification
 ) -> list[TestEntry]:
     """Entries of all lengths between targets of a station, relative to the network, with their uncertainty."""
-    names, points = adjusted.recording.targets, adjusted.state.points
+    names, points = adjusted.recording.targets, adjusted.state.target_points
     placed = [
         t for t in sorted(mean_points) if names[t] not in adjusted.undetermined_targets and np.isfinite(points[t]).all()
     ]

@@ -29,8 +29,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Result
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction, ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import as_dense
@@ -62,7 +62,7 @@ class Adjustment(Result):
     """Adjusted network: estimates, covariances, tests and warnings."""
 
     problem: NetworkProblem
-    solution: Solution[State]
+    solution: Solution[NetworkState]
     gross: Bools
     """Flags of the pointings rejected as gross errors before the adjustment, (n,)."""
     components: tuple[Component, ...] = ()
@@ -83,7 +83,7 @@ class Adjustment(Result):
     def _lines(self) -> list[str]:
         return [
             f"Adjustment: {self.recording.headline}",
-            f"{self.construction.name}, {self.construction.size} instrument parameters, "
+            f"{self.construction.name}, {self.construction.n_parameters} instrument parameters, "
             f"{len(self.effects)} further effects; {self.solution.status.value}",
             f"chi2/dof {self.chi2:.1f}/{self.dof}, sigma0 {self.sigma0:.3f}; "
             f"{int(self.rejected.sum())} readings left out",
@@ -93,7 +93,7 @@ class Adjustment(Result):
     def planned(
         cls,
         recording: Recording,
-        state: State,
+        state: NetworkState,
         construction: Construction | None = None,
         effects: Sequence[Signature] = (),
         prior: ParameterPrior | None = None,
@@ -113,9 +113,9 @@ class Adjustment(Result):
         prior : ParameterPrior, optional
             What is known of these; default what the set-up states.
         """
-        model = MeasurementModel(recording, construction or ideal(), tuple(effects))
-        if len(state.extra) != model.extra_size:
-            state = replace(state, extra=np.zeros(model.extra_size))
+        model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
+        if len(state.extra_parameters) != model.n_extra_parameters:
+            state = replace(state, extra_parameters=np.zeros(model.n_extra_parameters))
         problem = drop_undetermined(NetworkProblem.of(model, prior=prior), state)
         lost = pose_defect(problem, state)
         if lost:
@@ -145,7 +145,7 @@ class Adjustment(Result):
         return self.problem.model.effects
 
     @property
-    def state(self) -> State:
+    def state(self) -> NetworkState:
         """Adjusted poses, targets and parameters."""
         return self.solution.x
 
@@ -191,7 +191,7 @@ class Adjustment(Result):
         shared[recording.station, recording.target] = True
         shared[problem.levels.station] = False  # to an upright station a line is as good as any targets
         for name, station_targets in zip(recording.stations, shared & (shared.sum(axis=0) > 1), strict=True):
-            if station_targets.sum() > 2 and on_a_line(self.state.points[station_targets]):
+            if station_targets.sum() > 2 and on_a_line(self.state.target_points[station_targets]):
                 shared_count = station_targets.sum()
                 return (
                     f"station {name}: the {shared_count} targets that it shares with others lie on a line, or nearly so"
@@ -371,12 +371,12 @@ class Adjustment(Result):
         return np.asarray(self.problem.structure.height_free_targets | np.array(plan, dtype=bool))
 
     @single_threaded
-    def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
+    def with_effects(self, effects: Sequence[Signature], start: NetworkState) -> Adjustment:
         """Adjustment with other additional effects, and with equal readings, weights and datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
         problem = replace(new, gauge=old.gauge, differences=old.differences, levels=old.levels, yaws=old.yaws)
-        solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
+        solution = solve(problem, replace(start, extra_parameters=np.zeros(model.n_extra_parameters)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:

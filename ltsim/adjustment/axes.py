@@ -18,7 +18,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
-from ltsim.physics.model.measurement import verticals
+from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import shown
 from ltsim.recordings.recording import Recording
@@ -64,8 +64,8 @@ def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -
     adjusted = adjust(recording)
     at = np.array([recording.targets.index(name) for name in names])
     determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
-    turn, _ = robust_align(adjusted.state.points[at[determined]], there[determined])
-    lines = verticals(adjusted.recording) @ turn.T
+    turn, _ = robust_align(adjusted.state.target_points[at[determined]], there[determined])
+    lines = plumb_directions(adjusted.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
         station = recording.station_setup(name)
@@ -89,7 +89,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
         if name not in recording.targets:
             raise RecordError(f"the axes name the target '{shown(name)}', which was never measured")
     _require_free_frame(recording)
-    a, b, c = adjust(recording).state.points[[recording.targets.index(name) for name in three]]
+    a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))
     ahead = float(across @ along) / length if length else 0.0

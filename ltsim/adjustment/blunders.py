@@ -21,7 +21,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit
-from ltsim.physics.model.measurement import verticals
+from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
@@ -80,22 +80,22 @@ def detect_blunders(adjustment: Adjustment) -> list[Correction]:
 def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Points (k, 3) of targets in the network frame from readings (k, 3) in place of those of some rows (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
-    local = adjustment.construction.point(readings, adjustment.state.instrument[instrument])
-    turned = np.einsum("nij,nj->ni", adjustment.state.rotation[station], local)
-    placed: Floats = turned + adjustment.state.position[station]
+    local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
+    turned = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
+    placed: Floats = turned + adjustment.state.station_positions[station]
     lift = adjustment.problem.model.geometry(adjustment.state).lift
     return placed if lift is None else placed - lift[rows]
 
 
 def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Distances (k,) [m] between the targets and the points of these readings (k, 3)."""
-    goal = adjustment.state.points[adjustment.recording.target[rows]]
+    goal = adjustment.state.target_points[adjustment.recording.target[rows]]
     return np.asarray(np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1))
 
 
 def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
     """Pairs of targets that were exchanged at a station, or one that was mistaken for another."""
-    recording, points = adjustment.recording, adjustment.state.points
+    recording, points = adjustment.recording, adjustment.state.target_points
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
         return
@@ -131,8 +131,8 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Correction]:
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
         return
-    off = _placed(adjustment, recording.readings[at], at) - adjustment.state.points[recording.target[at]]
-    up = verticals(recording)[recording.station[at]]
+    off = _placed(adjustment, recording.readings[at], at) - adjustment.state.target_points[recording.target[at]]
+    up = plumb_directions(recording)[recording.station[at]]
     high = np.einsum("ni,ni->n", off, up)
     aside = np.linalg.norm(off - high[:, None] * up, axis=1)
     is_vertical = aside < np.minimum(np.maximum(CLOSE, ASIDE * np.abs(high)), adjustment.sightings.range_[at])
@@ -191,14 +191,14 @@ def correct_units(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         return recording, _mirrored_pair(recording) if len(odd) else findings
     for s in odd.tolist():
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
-        for effect in WrongUnit.at(name):
+        for effect in WrongUnit.at_station(name):
             readings = recording.readings.copy()
-            readings[rows] = effect.slip.corrected(readings[rows])
+            readings[rows] = effect.transcription_error.corrected(readings[rows])
             corrected = recording.with_readings(readings)
             if _misfit(corrected, [s])[s] < WRONG_SHAPE:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
-                sentence = f"Station {name} was recorded with {effect.slip.cause}."
+                sentence = f"Station {name} was recorded with {effect.transcription_error.cause}."
                 findings.append(GrossFinding(effect.name, rows, (name,), (), effect.observables, size, sentence))
                 recording = corrected
                 break

@@ -128,9 +128,9 @@ def centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     chi2, dof = adjustment.chi2, adjustment.dof
     space = whole = ResidualSpace.of(adjustment)
     model = adjustment.problem.model
-    axes = 2 if model.heads else 3  # heights that the network corrects anyway tell of no tripod
-    ordinary = max((heads.sigma for heads in model.heads), default=0.0)
-    moves = model.linearised(adjustment.state).by_target[:, :, :axes]
+    axes = 2 if model.head_heights else 3  # heights that the network corrects anyway tell of no tripod
+    ordinary = max((heads.sigma for heads in model.head_heights), default=0.0)
+    moves = model.linearised(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {i: whole.whiten(moves * occupation.sign[:, None, None]) for i, occupation in enumerate(candidates)}
     chosen: list[int] = []
     while len(chosen) < min(MOST, len(candidates)):
@@ -160,7 +160,7 @@ def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[GrossFindi
     if moved is None:
         return recording, []
     by_target, readings, findings = (
-        adjustment.problem.model.linearised(adjustment.state).by_target,
+        adjustment.problem.model.linearised(adjustment.state).target_derivatives,
         recording.readings,
         [],
     )

@@ -18,7 +18,7 @@ from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, unit_diagonal
 from ltsim.solve.elimination import BlockFactor
 
@@ -40,7 +40,7 @@ class Tied:
     """Flags (k, 3) of the coordinates that define the datum."""
 
     @classmethod
-    def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
+    def of(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> Tied:
         """Datum points by name: targets, or marks under set-ups."""
         recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
@@ -49,10 +49,10 @@ class Tied:
         for name in names:
             if name in targets:
                 columns.append(unknowns.target[targets[name]])
-                places.append(state.points[targets[name]])
+                places.append(state.target_points[targets[name]])
             elif name in stations:
                 columns.append(unknowns.pose[stations[name], :3])
-                places.append(state.position[stations[name]] - marks.offset[stations[name]])
+                places.append(state.station_positions[stations[name]] - marks.offset[stations[name]])
             else:
                 raise unknown_name("target of the datum", name, [*targets, *stations])
             setup = recording.target_setup(name)
@@ -70,7 +70,7 @@ def chosen_datum(problem: NetworkProblem) -> tuple[str, ...]:
     return tuple(name for name in reached if recording.target_setup(name).datum)
 
 
-def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
+def moved_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> tuple[NetworkState, float]:
     """State moved rigidly to the declared coordinates of the datum points, with the rotation angle [rad] and scale."""
     turned = 0.0
     for _ in range(PASSES):
@@ -87,9 +87,14 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
         rotation, more = from_rotation_vector(turn), amount[free.shape[1] :]
         position, points = (
             arm @ rotation.T + (grown(arm) @ more).reshape(-1, 3) + centre + shift
-            for arm in (state.position - centre, state.points - centre)
+            for arm in (state.station_positions - centre, state.target_points - centre)
         )
-        state = replace(state, position=position, rotation=rotation @ state.rotation, points=points)
+        state = replace(
+            state,
+            station_positions=position,
+            station_rotations=rotation @ state.station_rotations,
+            target_points=points,
+        )
         moved = float(np.linalg.norm([*turn, *more]))
         turned += moved
         if moved < 1e-12:
@@ -134,7 +139,9 @@ class InnerDatum:
         return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
 
     @classmethod
-    def of(cls, problem: NetworkProblem, state: State, factor: BlockFactor, names: Sequence[str]) -> InnerDatum | None:
+    def of(
+        cls, problem: NetworkProblem, state: NetworkState, factor: BlockFactor, names: Sequence[str]
+    ) -> InnerDatum | None:
         """Datum of some points; None if no motion is free.
 
         Raises ModelError if these points do not fix the free motions.
@@ -147,7 +154,10 @@ class InnerDatum:
         turn = np.hstack([free[3:], np.zeros((3, len(problem.structure.scale)))])
         motion = np.zeros((unknowns.size, turn.shape[1]))
         motion[unknowns.pose[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose), 1))
-        for columns, places in ((unknowns.target, state.points), (unknowns.pose[:, :3], state.position)):
+        for columns, places in (
+            (unknowns.target, state.target_points),
+            (unknowns.pose[:, :3], state.station_positions),
+        ):
             motion[columns.ravel()] = np.hstack([rigid_motion(places, centre) @ free, grown(places - centre)])
         return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
 

@@ -25,8 +25,8 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.model.construction import Construction, ideal
-from ltsim.physics.model.measurement import MeasurementModel, State, smr_lift, with_plumb_lines
+from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import single_threaded
@@ -49,7 +49,7 @@ def adjust(
     effects: Sequence[Signature] = (),
     sigma: Floats | None = None,
     use: Bools | None = None,
-    start: State | None = None,
+    start: NetworkState | None = None,
     datum: Sequence[str] | None = None,
     robust: bool = False,
     variance_components: Grouping | None = None,
@@ -103,7 +103,7 @@ def adjust(
         When `datum` names a target that does not exist, or too few.
     """
     recording.require_at_most(ADJUSTED_POINTINGS, "an adjustment")
-    built, copied = construction or ideal(), copied_rows(recording)
+    built, copied = construction or ideal_construction(), copied_rows(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
     _check_marks(recording)
@@ -112,18 +112,18 @@ def adjust(
     if start is None:
         _, network, gross, lost = screen_gross_errors(recording)
         gross &= ~_over_wrong_marks(recording, gross)
-        parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
-        start = State(*network, parameters)
-    recording = with_plumb_lines(recording, start.position)
+        parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
+        start = NetworkState(*network, parameters)
+    recording = with_plumb_lines(recording, start.station_positions)
     model = MeasurementModel(recording, built, tuple(effects))
-    if len(start.extra) != model.extra_size:
-        start = replace(start, extra=np.zeros(model.extra_size))
+    if len(start.extra_parameters) != model.n_extra_parameters:
+        start = replace(start, extra_parameters=np.zeros(model.n_extra_parameters))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     find = snoop_readings if robust else _solved
     whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to, prior=prior)
     _check_normals(whole)
-    start = replace(start, position=whole.marks.on_marks(start.position, start.points))
+    start = replace(start, station_positions=whole.marks.on_marks(start.station_positions, start.target_points))
     whole = drop_undetermined(whole, start)
     wrong: tuple[ReferenceTest, ...] = ()
     if searched and not (robust and whole.knows_nothing):
@@ -169,7 +169,7 @@ def _over_wrong_marks(recording: Recording, gross: Bools) -> Bools:
 
 def _check_normals(problem: NetworkProblem) -> None:
     """Check that no undetermined motion rotates the offsets of SMRs of other radii; raises NetworkError."""
-    off = smr_lift(problem.model.recording)
+    off = smr_radius_offsets(problem.model.recording)
     if off is None:
         return
     turned = np.cross(problem.free[3:].T[:, None], off[None])
@@ -180,7 +180,7 @@ def _check_normals(problem: NetworkProblem) -> None:
         )
 
 
-def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:
+def _solved(problem: NetworkProblem, start: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
     return problem, solve(problem, start)
 
 
@@ -209,7 +209,8 @@ def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustmen
     return replace(adjustment, solution=solution, datum=tied)
 
 
-GROSS, CLEARLY = 2e-3, 10.0
+GROSS = 2e-3
+CLEARLY = 10.0
 """Misclosure [m], and ratio to the median, in the axes of most points above which a point starts outside the datum."""
 LEVEL = 0.02
 """Significance level: probability that any point of an error-free set is excluded."""
@@ -226,7 +227,7 @@ def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording
     """
     recording = adjustment.recording
     declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
-    here = adjustment.state.points[[recording.targets.index(name) for name in names]]
+    here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
     off = misses(here, declared, robust_align(here, declared))
     use = off <= max(CLEARLY * float(np.median(off)), GROSS)
     use |= use.sum() <= len(names) / 2
@@ -256,9 +257,9 @@ def _axes_tests(adjustment: Adjustment, names: Sequence[str], declared: Floats, 
     adjusted = adjustment.in_inner_datum(chosen)
     at = [adjusted.recording.targets.index(name) for name in names]
     state, _ = moved_to_datum(adjusted.problem, adjusted.state, chosen)
-    turn = state.rotation[0] @ adjusted.state.rotation[0].T
+    turn = state.station_rotations[0] @ adjusted.state.station_rotations[0].T
     covariance = turn @ adjusted.target_covariance[at] @ turn.T
-    gap, places = declared - state.points[at], state.points[at]
+    gap, places = declared - state.target_points[at], state.target_points[at]
     centre = places[use].mean(axis=0)
     free = about(adjusted.problem.free, centre)
     motion = (rigid_motion(places, centre) @ free).reshape(-1, 3, free.shape[1])

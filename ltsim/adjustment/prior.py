@@ -74,7 +74,7 @@ def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
     """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
     chosen = [recording.setup.instrument_named(name).prior for name in recording.instruments]
     rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
-    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
+    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.n_parameters)
 
 
 def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
@@ -82,7 +82,7 @@ def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
 
     For a corrected instrument those of the remaining errors, unless declared.
     """
-    sigma, names = prior_sigmas(recording, construction), construction.names
+    sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)
     for of_instrument, instrument in zip(sigma, instruments, strict=True):
         if instrument.corrected:

@@ -23,7 +23,7 @@ from ltsim.adjustment.structure import NetworkRows, Unknowns
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
-from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.solve.design import PIECE, Design, Pattern, as_dense
 from ltsim.solve.elimination import BlockSystem
 
@@ -75,8 +75,8 @@ class NetworkProblem(NetworkRows):
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
         mark_control, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
         differences = DifferenceRows.between(recording, marks)
-        plausible = [held_to * size for effect in model.effects for size in effect.spread]
-        plausible += [size for errors in model.nuisances for size in errors.spread]
+        plausible = [held_to * size for effect in model.effects for size in effect.size_scales]
+        plausible += [size for errors in model.nuisance_errors for size in errors.size_scales]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
@@ -124,39 +124,43 @@ class NetworkProblem(NetworkRows):
         gap[:, 1:] = wrap(gap[:, 1:])
         return gap
 
-    def residual(self, state: State) -> Floats:
+    def residual(self, state: NetworkState) -> Floats:
         """Whitened residual (m,) of all rows at a state."""
         return self._residual_rows(state, self.model.predict(state))
 
-    def _residual_rows(self, state: State, readings: Floats) -> Floats:
+    def _residual_rows(self, state: NetworkState, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
         gauge = self.gauge.whitened(self.length_residuals(state))
-        control = self.control.residual(state.points[self.control.target])
-        marks = self.mark_control.residual(state.position[self.mark_control.target])
-        differences = self.differences.residual(self.differences.predict(state.points, state.position))
-        levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
-        yaws = self.yaws.residual(state.rotation) / self.yaws.sigma
+        control = self.control.residual(state.target_points[self.control.target])
+        marks = self.mark_control.residual(state.station_positions[self.mark_control.target])
+        differences = self.differences.residual(self.differences.predict(state.target_points, state.station_positions))
+        levels = -self.levels.predict(state.station_rotations) / self.levels.sigma[:, None]
+        yaws = self.yaws.residual(state.station_rotations) / self.yaws.sigma
         held = np.zeros(self.structure.held)
-        prior = self.prior.residual(state.instrument)
-        extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
+        prior = self.prior.residual(state.instrument_parameters)
+        extra = -(state.extra_parameters / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
         references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
         return np.concatenate([*references, held, prior, extra, datum])
 
-    def length_residuals(self, state: State) -> Floats:
+    def length_residuals(self, state: NetworkState) -> Floats:
         """Declared minus adjusted lengths (g,) [m]."""
-        return self.gauge.length - self.gauge.predict(state.points) - self._gauge_by_extra(state) @ state.extra
+        return (
+            self.gauge.length
+            - self.gauge.predict(state.target_points)
+            - self._gauge_by_extra(state) @ state.extra_parameters
+        )
 
-    def retract(self, state: State, step: Floats) -> State:
+    def retract(self, state: NetworkState, step: Floats) -> NetworkState:
         """State after a step."""
         at = self.unknowns
-        return state.moved(step[at.pose], step[at.target], step[at.instrument], step[at.extra])
+        return state.incremented(step[at.pose], step[at.target], step[at.instrument], step[at.extra])
 
-    def linearise(self, state: State) -> BlockSystem:
+    def linearise(self, state: NetworkState) -> BlockSystem:
         """Whitened linear system at a state."""
         return self.system(state, self.model.linearised(state))
 
-    def system(self, state: State, prediction: Prediction) -> BlockSystem:
+    def system(self, state: NetworkState, prediction: Prediction) -> BlockSystem:
         """Whitened linear system at a state whose predicted readings are given."""
         residual, values = self._residual_rows(state, prediction.readings), self._values(state, prediction)
         del prediction  # which takes as much memory as the design
@@ -200,17 +204,17 @@ class NetworkProblem(NetworkRows):
             np.tile(anchors, (self.free.shape[1], 1)),
         ]
 
-    def _values(self, state: State, prediction: Prediction) -> Iterator[Floats]:
+    def _values(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
         """Whitened derivatives (rows, width) in the order of `_columns`."""
         yield from self._reading_values(prediction)
-        direction = self.gauge.directions(state.points)
+        direction = self.gauge.directions(state.target_points)
         gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
         yield gauge / self.gauge.sigma[:, None]
         yield self.control.weights()
         yield self.mark_control.weights()
         yield self.differences.derivatives()
-        yield self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None]
-        yield self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None]
+        yield self.levels.derivative(state.station_rotations) / self.levels.sigma[:, None, None]
+        yield self.yaws.derivative(state.station_rotations) / self.yaws.sigma[:, None]
         yield self.structure.held_directions(state) / DATUM_SIGMA[0]
         yield self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)]
         yield 1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)]
@@ -218,7 +222,12 @@ class NetworkProblem(NetworkRows):
 
     def _reading_values(self, prediction: Prediction) -> Iterator[Floats]:
         """Whitened derivatives (r, width) of the readings in use, of some pointings after the others."""
-        by = [prediction.by_pose, prediction.by_target, prediction.by_instrument, prediction.by_extra]
+        by = [
+            prediction.pose_derivatives,
+            prediction.target_derivatives,
+            prediction.instrument_derivatives,
+            prediction.extra_derivatives,
+        ]
         held = self.prior.held[self.model.recording.instrument][:, None]
         step = PIECE // 3
         for first in range(0, len(self.use), step):
@@ -236,18 +245,18 @@ class NetworkProblem(NetworkRows):
             return np.repeat(columns, columns.shape[1], axis=0)
         return columns[np.isfinite(self.prior.sigma)][:, None]
 
-    def _gauge_by_extra(self, state: State) -> Floats:
+    def _gauge_by_extra(self, state: NetworkState) -> Floats:
         """Change (g, q) of the reference lengths per unit of the additional effects' parameters."""
         ends = self.gauge.first, self.gauge.second
-        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.extra_effects]
+        columns = [effect.gauge_design(*ends, state.target_points) for effect in self.model.extra_effects]
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
-    def _datum_values(self, state: State) -> Floats:
+    def _datum_values(self, state: NetworkState) -> Floats:
         """Datum rows (f, 6 a) that fix the free rigid motions at the anchor stations."""
         anchors = self.structure.anchors
         motion = self.free / np.linalg.norm(self.free, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
-        across = (cross_matrix(turn) @ state.position[anchors][:, :, None])[..., 0]
+        across = (cross_matrix(turn) @ state.station_positions[anchors][:, :, None])[..., 0]
         shift = motion[:3].T[:, None, :] + across
         rows = np.concatenate([shift, turn if self.structure.anchors_turn else np.zeros_like(shift)], axis=2)
         return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
@@ -268,7 +277,7 @@ class NetworkProblem(NetworkRows):
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         lengths -= lengths > 0 and not self.gauge.determine_scale
-        nuisances = sum(len(errors.parameters) for errors in self.model.nuisances)
+        nuisances = sum(len(errors.parameters) for errors in self.model.nuisance_errors)
         references = self.control.count + self.mark_control.count + self.differences.count
         references += lengths + 2 * len(self.levels) + len(self.yaws) + priors + nuisances
         free = self.free.shape[1] - self.structure.in_plan

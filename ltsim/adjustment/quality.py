@@ -89,11 +89,11 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
         return
     if not (alone.solution.converged and alone.sigma0 < HEALED * adjustment.sigma0):
         return
-    gap = 1e3 * float(np.abs(adjustment.state.points[control.target] - control.points).max())
+    gap = 1e3 * float(np.abs(adjustment.state.target_points[control.target] - control.points).max())
     whole = control.axes.all(axis=1)
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest miss {gap:.3g} mm): {_how(alone.state.points[control.target[whole]], control.points[whole])}"
+        f"largest miss {gap:.3g} mm): {_how(alone.state.target_points[control.target[whole]], control.points[whole])}"
     )
 
 
@@ -183,9 +183,9 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on approximate positions of upright stations that do not fit the network, or only its mirror image."""
     frame, state = Frame.of(adjustment.recording), adjustment.state
     planned = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
-    if len(planned) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
+    if len(planned) < LEAST_PLACES or np.median(state.station_rotations[:, 2, 2]) < UPRIGHT:
         return
-    here, there = state.position[planned] * [1.0, 1.0, 0.0], frame.plan[planned] * [1.0, 1.0, 0.0]
+    here, there = state.station_positions[planned] * [1.0, 1.0, 0.0], frame.plan[planned] * [1.0, 1.0, 0.0]
     extent = float(np.ptp(here, axis=0).max())
     if extent < ROUGH_PLACE:  # set-ups over one mark
         return
@@ -231,7 +231,7 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
 
 def _two_names(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on two targets at one position that no set-up measures both, possibly one target under two names."""
-    recording, points = adjustment.recording, adjustment.state.points
+    recording, points = adjustment.recording, adjustment.state.target_points
     is_sighted = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
     placed = adjustment.problem.use.all(axis=1)
     is_sighted[recording.target[placed], recording.station[placed]] = True

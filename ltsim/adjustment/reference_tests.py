@@ -33,7 +33,7 @@ from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
 
@@ -162,7 +162,7 @@ class ReferenceTest(ReferenceValue):
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
 
 
-def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
+def relaxed_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem in which exact reference values have at least `FINEST` of a reading's sigma, to be testable."""
     if not problem.use.any():
         return problem
@@ -176,7 +176,9 @@ def relaxed_references(problem: NetworkProblem, state: State) -> NetworkProblem:
     return replace(problem, **tested) if exact else problem
 
 
-def reference_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[ReferenceTest]:
+def reference_tests(
+    problem: NetworkProblem, solution: Solution[NetworkState], least: float = 0.0
+) -> list[ReferenceTest]:
     """Tests of the reference values of an adjustment with a residual of at least `least`, and of all lengths."""
     if not least and solution.factor is not None:
         problem, given = relaxed_references(problem, solution.x), problem
@@ -221,10 +223,10 @@ def _test(value: ReferenceRows, gram: Floats, pull: Floats) -> ReferenceTest:
 
 def snoop_references(
     problem: NetworkProblem,
-    solution: Solution[State],
+    solution: Solution[NetworkState],
     kinds: Collection[Kind] = KINDS,
     exempt: frozenset[tuple[Kind, str]] = frozenset(),
-) -> tuple[NetworkProblem, Solution[State], tuple[ReferenceTest, ...]]:
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
     """Problem without the reference values that contradict the other observations, its solution, and their tests.
 
     They are excluded one at a time by the decrease of chi-square; single readings that explain more are excluded during
@@ -232,7 +234,7 @@ def snoop_references(
     """
     given, aside = (problem, solution), relaxed_references(problem, solution.x)
     out: list[ReferenceTest] = []
-    by_far: tuple[NetworkProblem, Solution[State], int] | None = None
+    by_far: tuple[NetworkProblem, Solution[NetworkState], int] | None = None
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
@@ -278,7 +280,7 @@ def snoop_references(
 
 
 def _with_final_errors(
-    tests: Sequence[ReferenceTest], problem: NetworkProblem, state: State
+    tests: Sequence[ReferenceTest], problem: NetworkProblem, state: NetworkState
 ) -> Iterator[ReferenceTest]:
     """Tests of reference values, with the errors of excluded ones at the final state."""
     names, marks = problem.model.recording.stations, problem.marks
@@ -286,7 +288,11 @@ def _with_final_errors(
     for test in tests:
         if test.excluded and test.kind == "mark":
             station = names.index(test.name)
-            yield replace(test, error=marks.place(station, state.position, state.points) - state.position[station])
+            yield replace(
+                test,
+                error=marks.place(station, state.station_positions, state.target_points)
+                - state.station_positions[station],
+            )
         elif test.excluded:
             yield replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
         else:
@@ -307,7 +313,7 @@ def _typical_error(tests: Sequence[ReferenceTest]) -> float:
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
-def _penalised_chi2(problem: NetworkProblem, solution: Solution[State], gone: Sequence[ReferenceTest]) -> float:
+def _penalised_chi2(problem: NetworkProblem, solution: Solution[NetworkState], gone: Sequence[ReferenceTest]) -> float:
     """Chi-square without outliers, plus a penalty for each outlier and each excluded reference value `gone`.
 
     A few readings may explain the same as one reference value: the penalty of each is the limit of its own test.
@@ -320,7 +326,10 @@ def _penalised_chi2(problem: NetworkProblem, solution: Solution[State], gone: Se
 
 
 def _most_significant(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], exempt: Collection[tuple[Kind, str]]
+    problem: NetworkProblem,
+    solution: Solution[NetworkState],
+    kinds: Collection[Kind],
+    exempt: Collection[tuple[Kind, str]],
 ) -> ReferenceTest | Bools | None:
     """Reference value, or readings (n, 3), that explain most.
 
@@ -366,7 +375,7 @@ def _most_significant(
     return aside
 
 
-def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[ReferenceTest]) -> bool:
+def _too_many(problem: NetworkProblem, solution: Solution[NetworkState], out: Sequence[ReferenceTest]) -> bool:
     every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in out]
     return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)

@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.rows import ControlRows
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import UNKNOWN_PPM
 
@@ -52,7 +52,7 @@ class ReferenceRows(ReferenceValue):
     """Derivative of these rows with respect to an error in each component, (r, q)."""
 
 
-def reference_values(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
+def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceRows]:
     """Reference values of a problem, in the order of its rows."""
     recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
     shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
@@ -65,9 +65,15 @@ def reference_values(problem: NetworkProblem, state: State) -> Iterator[Referenc
     points, marks, differences = problem.control, problem.mark_control, problem.differences
     at, on, names = points.target, marks.target, problem.marks.names
     by_name: tuple[tuple[Kind, ControlRows, list[str], Sequence[str], Floats], ...] = (
-        ("point", points, [recording.targets[t] for t in at], (), state.points[at]),
-        ("point", marks, [names[s] for s in on], recording.stations, state.position[on]),
-        ("difference", differences, [*differences.names], (), differences.predict(state.points, state.position)),
+        ("point", points, [recording.targets[t] for t in at], (), state.target_points[at]),
+        ("point", marks, [names[s] for s in on], recording.stations, state.station_positions[on]),
+        (
+            "difference",
+            differences,
+            [*differences.names],
+            (),
+            differences.predict(state.target_points, state.station_positions),
+        ),
     )
     for kind, controls, called, under, here in by_name:
         for i, place in enumerate(controls.target.tolist()):
@@ -79,11 +85,11 @@ def reference_values(problem: NetworkProblem, state: State) -> Iterator[Referenc
             gap, over = (controls.points[i] - here[i])[axes], under[place] if under else ""
             yield ReferenceRows(kind, called[i], given_axes, sigma, gap, rows, root, occupied_by=over)
             first += len(root)
-    tilts = -problem.levels.predict(state.rotation)
+    tilts = -problem.levels.predict(state.station_rotations)
     for i, station in enumerate(problem.levels.station.tolist()):
         sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
         yield ReferenceRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
-    gap, first = problem.yaws.residual(state.rotation), problem.level_rows.stop
+    gap, first = problem.yaws.residual(state.station_rotations), problem.level_rows.stop
     for i, station in enumerate(problem.yaws.station.tolist()):
         sigma = problem.yaws.sigma[i : i + 1]
         rows = np.array([first + i])
@@ -91,7 +97,7 @@ def reference_values(problem: NetworkProblem, state: State) -> Iterator[Referenc
     yield from _centrings(problem, state)
 
 
-def common_scale(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
+def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceRows]:
     """Common scale of all reference lengths, if there are several: error of their temperature or reference standard."""
     gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
     if felt.sum() > 1:
@@ -101,14 +107,14 @@ def common_scale(problem: NetworkProblem, state: State) -> Iterator[ReferenceRow
         yield ReferenceRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
 
 
-def _centrings(problem: NetworkProblem, state: State) -> Iterator[ReferenceRows]:
+def _centrings(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceRows]:
     """Set-ups over marks that are also measured otherwise: the declaration that they are exactly on the mark."""
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
     if not shared.any():
         return
     number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
-    by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
+    by_place = problem.model.linearised(state).pose_derivatives[:, :, :3] / problem.sigma[:, :, None]
     for s in np.flatnonzero(shared).tolist():
         readings = problem.use & (recording.station == s)[:, None]
         if readings.any():

@@ -11,8 +11,8 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.physics.model.measurement import State
+from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
@@ -36,7 +36,7 @@ class ShapeDirection(Signature):
     The parameter is the change of the constant relative to its size.
     """
 
-    base: Tunable
+    base: CandidateEffect
     values: tuple[float, ...]
     constant: ShapeParameter
 
@@ -47,7 +47,7 @@ class ShapeDirection(Signature):
         """Central difference (n, 3, 1) by the relative change of the constant."""
         now, values = self.now, np.array(self.values)
         up, down = (
-            self.base.reshaped(**{self.constant.name: now * (1 + s)}).design(sightings) @ values
+            self.base.with_constants(**{self.constant.name: now * (1 + s)}).design(sightings) @ values
             for s in (LINEAR, -LINEAR)
         )
         change: Floats = ((up - down) / (2 * LINEAR))[:, :, None]
@@ -61,17 +61,17 @@ class ShapeDirection(Signature):
     def moved(self, change: float) -> float:
         """Constant after a relative change, within its bounds and at most halved or doubled."""
         moved = self.now * (1 + np.clip(change, -0.5, 1.0))
-        return float(np.clip(moved, self.constant.low, self.constant.high))
+        return float(np.clip(moved, self.constant.lower_bound, self.constant.upper_bound))
 
 
 @dataclass(frozen=True)
-class FirstOrder(Tunable):
+class FirstOrder(CandidateEffect):
     """Effect in first-order form at one state of the network, used if the exact form prevents convergence.
 
     An encoder error with thousands of periods, for example, changes by a large part of a period between iterations.
     """
 
-    base: Tunable
+    base: CandidateEffect
     at: Floats = field(compare=False, repr=False)
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
@@ -81,7 +81,7 @@ class FirstOrder(Tunable):
     covariates: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, base: Tunable, sightings: Sightings) -> FirstOrder:
+    def of(cls, base: CandidateEffect, sightings: Sightings) -> FirstOrder:
         """First-order form of an effect at a state of the network."""
         identity = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
         return cls(base, base.design(sightings), *identity)
@@ -95,13 +95,15 @@ class FirstOrder(Tunable):
         return self.base.gauge_design(first, second, points)
 
 
-def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
+def _directions(
+    effect: CandidateEffect, values: Floats, sightings: Sightings, fixed: Collection[str]
+) -> list[ShapeDirection]:
     """Shape constants of an effect that influence the readings smoothly, except the `fixed` ones."""
     directions = []
     size = float(np.abs(effect.design(sightings) @ values).max())
-    for shape in type(effect).shape:
+    for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
-        if shape.name in fixed or not isinstance(now, float) or now == 0.0 or shape.steps < 2:
+        if shape.name in fixed or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
         direction = ShapeDirection(effect, tuple(values), shape)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
@@ -127,15 +129,15 @@ class Refit:
     """
 
     adjustment: Adjustment
-    effects: tuple[Tunable, ...]
+    effects: tuple[CandidateEffect, ...]
     estimates: tuple[tuple[Estimated, ...], ...]
 
 
 def refit(
     adjusted: Callable[..., Adjustment],
-    effects: Sequence[Tunable],
+    effects: Sequence[CandidateEffect],
     *,
-    start: State,
+    start: NetworkState,
     fixed: Sequence[Collection[str]] = (),
 ) -> Refit:
     """Adjustment with effects, in which shape constants are estimated together with their uncertainty.
@@ -158,8 +160,8 @@ def refit(
         current = [FirstOrder.of(effect, sightings) for effect in current]
         fitted = joint = adjusted(effects=current, start=start)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
-    for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
-        values = _split(current, fitted.state.extra)
+    for _ in range(ITERATIONS if any(type(e).shape_parameters for e in current) else 0):
+        values = _split(current, fitted.state.extra_parameters)
         each = zip(current, values, stay, strict=True)
         directions = [_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
         flat = [d for group in directions for d in group]
@@ -169,7 +171,7 @@ def refit(
         if not joint.solution.converged:
             break
         first = sum(len(effect.parameters) for effect in current)
-        changes = joint.state.extra[first : first + len(flat)]
+        changes = joint.state.extra_parameters[first : first + len(flat)]
         if np.all(np.abs(changes) < LINEAR):
             break
         step = _step(adjusted, current, directions, changes, fitted)
@@ -182,11 +184,11 @@ def refit(
 
 def _step(
     adjusted: Callable[..., Adjustment],
-    effects: list[Tunable],
+    effects: list[CandidateEffect],
     directions: list[list[ShapeDirection]],
     changes: Floats,
     before: Adjustment,
-) -> tuple[list[Tunable], Adjustment] | None:
+) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed constants and their adjustment, after halvings until chi-square does not increase.
 
     It is None otherwise.
@@ -205,17 +207,19 @@ def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
     return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
 
-def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], changes: Floats) -> list[Tunable]:
+def _reshaped(
+    effects: list[CandidateEffect], directions: list[list[ShapeDirection]], changes: Floats
+) -> list[CandidateEffect]:
     """Effects with relative changes of their shape constants."""
     change = iter(changes.tolist())
     moves = [{d.constant.name: d.moved(next(change)) for d in group} for group in directions]
-    return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
+    return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
 def _estimates(
     fitted: Adjustment,
     joint: Adjustment,
-    effects: Sequence[Tunable],
+    effects: Sequence[CandidateEffect],
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[Estimated, ...], ...]:
     """Estimates with uncertainty; those of parameters include the uncertainty of estimated shape constants."""
@@ -226,7 +230,7 @@ def _estimates(
     sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
     relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
     rows = []
-    for i, (effect, values) in enumerate(zip(effects, _split(effects, fitted.state.extra), strict=True)):
+    for i, (effect, values) in enumerate(zip(effects, _split(effects, fitted.state.extra_parameters), strict=True)):
         row = [Estimated(*estimate) for estimate in zip(effect.parameters, values, sigma[i], strict=True)]
         for direction in directions[i]:
             now = float(getattr(effect, direction.constant.name))

@@ -14,7 +14,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import COLLINEAR_RATIO, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
-from ltsim.physics.model.measurement import verticals
+from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths, places_of
 from ltsim.recordings.setup import ReferenceDifference, Target, symmetric
@@ -252,7 +252,7 @@ class LevelRows:
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
         station = np.array([i for i, _ in rows], dtype=np.int64)
-        vertical = verticals(recording)[station]
+        vertical = plumb_directions(recording)[station]
         sideways, back = perpendicular(vertical)
         sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
         return cls(station, sigma, vertical, np.stack([-back, sideways], axis=1))
@@ -372,7 +372,7 @@ class Marks:
         target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
         first_on_mark: dict[str, int] = {}
         first = [first_on_mark.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
-        vertical = verticals(recording)
+        vertical = plumb_directions(recording)
         height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 

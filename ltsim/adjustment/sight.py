@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
-from ltsim.physics.model.measurement import lift_of, reduce_to_horizontal
+from ltsim.physics.model.measurement import reduce_to_horizontal, reflector_offsets
 from ltsim.recordings.recording import Recording
 
 ROWS = 12
@@ -32,7 +32,7 @@ class Sight:
     @classmethod
     def of(cls, recording: Recording) -> Self:
         """Sight with all rows of a recording."""
-        lift = lift_of(recording)
+        lift = reflector_offsets(recording)
         lift = np.zeros((len(recording), 3)) if lift is None else lift
         return cls(to_face(recording.readings, recording.face), recording.is_horizontal, lift)
 

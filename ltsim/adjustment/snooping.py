@@ -17,8 +17,8 @@ from ltsim.adjustment.structure import refusing_singular
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import determines_pose
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, median_deviation, unit_diagonal
 from ltsim.solve.elimination import BlockFactor, SingularSystemError
@@ -81,7 +81,7 @@ def _later(rows: np.ndarray) -> Bools:
 # --- what the readings in use do not place ------------------------------------------------------------------------
 
 
-def drop_undetermined(problem: NetworkProblem, state: State) -> NetworkProblem:
+def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem without the readings, reference lengths and differences of undetermined targets.
 
     The row of a length to such a target remains, without weight.
@@ -98,7 +98,7 @@ def drop_undetermined(problem: NetworkProblem, state: State) -> NetworkProblem:
         problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use, differences=differences)
 
 
-def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
+def undetermined_targets(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (T,) of the targets whose used readings leave a direction undetermined, given the stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     whole = np.bincount(recording.target, problem.use.all(axis=1), count) > 0
@@ -107,11 +107,11 @@ def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
     if not doubtful.any():
         return doubtful
     weighted = np.where(problem.use, 1.0 / problem.sigma, 0.0)[:, :, None]
-    rows = np.where(problem.use[:, :, None], problem.model.linearised(state).by_target * weighted, 0.0)
+    rows = np.where(problem.use[:, :, None], problem.model.linearised(state).target_derivatives * weighted, 0.0)
     normal = np.zeros((count, 3, 3))
     np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
     gauge, control = problem.gauge, problem.control
-    along = gauge.directions(state.points) / gauge.sigma[:, None]
+    along = gauge.directions(state.target_points) / gauge.sigma[:, None]
     for end in (gauge.first, gauge.second):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
@@ -126,7 +126,7 @@ def undetermined_targets(problem: NetworkProblem, state: State) -> Bools:
     return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
 
-def pose_defect(problem: NetworkProblem, state: State) -> str:
+def pose_defect(problem: NetworkProblem, state: NetworkState) -> str:
     """Sentence on a station whose targets do not determine its pose, by geometry alone; empty for none.
 
     Set-ups over marks and stations without readings are excluded.
@@ -138,7 +138,7 @@ def pose_defect(problem: NetworkProblem, state: State) -> str:
     vertical = np.full((len(sighted), 3), np.nan)
     vertical[problem.levels.station] = problem.levels.vertical
     free = np.array([not name for name in marks.names]) & sighted.any(axis=1)
-    few = np.flatnonzero(free & ~determines_pose(state.points, sighted, vertical))
+    few = np.flatnonzero(free & ~determines_pose(state.target_points, sighted, vertical))
     if not len(few):
         return ""
     levelled = few[0] in problem.levels.station
@@ -171,8 +171,8 @@ def screen_gross_errors(recording: Recording) -> Screened:
     """
     reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
-    model = MeasurementModel(recording, ideal())
-    state = State(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.extra_size))
+    model = MeasurementModel(recording, ideal_construction())
+    state = NetworkState(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.n_extra_parameters))
     excess = _excess(model, state)
     for _ in range(PASSES if np.any(excess > 1.0) else 0):
         problem = drop_undetermined(NetworkProblem.of(model), state)
@@ -180,10 +180,12 @@ def screen_gross_errors(recording: Recording) -> Screened:
         before, excess = excess, _excess(model, state)
         if not length or not np.any((excess > 1.0) & (excess < SETTLED * before)):
             break
-    return Screened(recording, (state.position, state.rotation, state.points), excess > 1.0, lost)
+    return Screened(
+        recording, (state.station_positions, state.station_rotations, state.target_points), excess > 1.0, lost
+    )
 
 
-def _excess(model: MeasurementModel, state: State) -> Floats:
+def _excess(model: MeasurementModel, state: NetworkState) -> Floats:
     """Misclosure (n,) of each pointing divided by the limit for gross errors."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
@@ -196,7 +198,9 @@ def _excess(model: MeasurementModel, state: State) -> Floats:
     return miss / limit
 
 
-def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: Floats) -> tuple[State, float]:
+def _step(
+    problem: NetworkProblem, state: NetworkState, prediction: Prediction, loose: Floats
+) -> tuple[NetworkState, float]:
     """State after a step with standard deviations multiplied by `loose`, and its squared length.
 
     It is 0 for a singular system.
@@ -213,8 +217,8 @@ def _step(problem: NetworkProblem, state: State, prediction: Prediction, loose: 
 
 
 def snoop_readings(
-    problem: NetworkProblem, state: State, rounds: int = ROUNDS
-) -> tuple[NetworkProblem, Solution[State]]:
+    problem: NetworkProblem, state: NetworkState, rounds: int = ROUNDS
+) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution.
 
     All readings in `use` may be used, and `state` is an approximate solution.
@@ -229,7 +233,7 @@ def snoop_readings(
     except SingularSystemError:
         return problem, solve(problem, state)
     tried: set[bytes] = set()
-    placed, target = state.points, problem.model.recording.target
+    placed, target = state.target_points, problem.model.recording.target
     while True:
         reduced = drop_undetermined(replace(problem, use=problem.use & ~rejected), state)
         solution = solve(reduced, state, cap=STEPS)
@@ -255,10 +259,12 @@ def snoop_readings(
             return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)
         rejected = new
         held = np.bincount(target, (problem.use & ~rejected).any(axis=1), len(placed)) > 0
-        state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
+        state = replace(
+            state, target_points=np.where(held[:, None], state.target_points, placed)
+        )  # misses are told from there
 
 
-def _rejected(problem: NetworkProblem, state: State, limit: float) -> Bools:
+def _rejected(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
     """Readings (n, 3) in use whose test statistic is over `limit`; SingularSystemError where unknowns are open."""
     prediction = problem.model.linearised(state)
     readings, system = prediction.readings, problem.system(state, prediction)
@@ -276,7 +282,7 @@ def _mostly(rejected: Bools, problem: NetworkProblem) -> Bools:
     return np.asarray(out > MAJORITY * used)
 
 
-def whitened_readings(problem: NetworkProblem, state: State) -> Floats:
+def whitened_readings(problem: NetworkProblem, state: NetworkState) -> Floats:
     """Absolute residuals (n, 3) in standard deviations of the readings; 0 if not measured."""
     return _whitened(problem, problem.model.predict(state))
 
@@ -287,7 +293,7 @@ def _whitened(problem: NetworkProblem, readings: Floats) -> Floats:
 
 
 def prediction_spread(
-    problem: NetworkProblem, solution: Solution[State], omitted: Bools, prediction: Prediction | None = None
+    problem: NetworkProblem, solution: Solution[NetworkState], omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
     """Standard deviations (k,) of the deviations of `omitted` (n, 3) readings from predictions, over the declared.
 
@@ -313,7 +319,7 @@ def _tested(
 
 
 def _retested(
-    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[State], rejected: Bools, limit: float
+    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], rejected: Bools, limit: float
 ) -> Bools:
     """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None

@@ -13,7 +13,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.physics.effects.effect import Stage
+from ltsim.physics.effects.effect import LightPathStage
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.scene.sightings import Sightings
@@ -33,7 +33,7 @@ class EvenMotion(StationMotion):
     """
 
     name = "station-motion"
-    stage = Stage.STATION
+    stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"
     parameters = StationBump.parameters
@@ -43,7 +43,7 @@ class EvenMotion(StationMotion):
         longest = np.full(len(sightings.station_names), 1e-9)
         np.maximum.at(longest, sightings.station, sightings.station_time)
         share = by_runs(sightings).station_time / longest[sightings.station]
-        return (self.mask(sightings) * share)[:, None, None] * np.eye(6)
+        return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
     for effect in adjustment.effects:
         columns = slice(first, first := first + len(effect.parameters))
         if isinstance(effect, Motion):
-            values, spread = adjustment.state.extra[columns], adjustment.extra_covariance[columns, columns]
+            values, spread = adjustment.state.extra_parameters[columns], adjustment.extra_covariance[columns, columns]
             sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
             parts = " and ".join(
                 _length(values[at] / factor, spread[at, at] / factor**2, unit) for unit, factor, at in sizes
@@ -76,7 +76,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
             moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
-                order = sightings.order[effect.mask(sightings)[sightings.order] > 0]
+                order = sightings.order[effect.row_weights(sightings)[sightings.order] > 0]
                 at = int(np.searchsorted(sightings.time[order], effect.time))
                 moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (

@@ -12,13 +12,14 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import FAR
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import median_deviation, weighted
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solve
 
-HUBER, CAUCHY = 2.0, 2.385
+HUBER = 2.0
+CAUCHY = 2.385
 """Residuals, in robust standard deviations, above which Huber's weights decrease, and at which Cauchy's weights are one
 half; the efficiencies for normal residuals are 97 and 95 %.
 """
@@ -35,12 +36,14 @@ def observations(problem: NetworkProblem) -> int:
     return problem.level_rows.stop + len(problem.yaws)
 
 
-def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
+def robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[NetworkState, Floats]:
     """State with robust weights of all observations, and the whitened residuals (m,) there; see `reweighted`."""
     return reweighted(problem, state, observations(problem), least=1.0, steps=STEPS)
 
 
-def reweighted(problem: NetworkProblem, state: State, count: int, *, least: float, steps: int) -> tuple[State, Floats]:
+def reweighted(
+    problem: NetworkProblem, state: NetworkState, count: int, *, least: float, steps: int
+) -> tuple[NetworkState, Floats]:
     """State by iteratively reweighted least squares, and the whitened residuals (m,) there.
 
     Huber's weights are used, which permit a poor start; if many residuals are then large, also Cauchy's, which retain a
@@ -86,8 +89,13 @@ def cauchy_weights(size: Floats) -> Floats:
 
 
 def _searched(
-    problem: NetworkProblem, state: State, count: int, least: float, steps: int, weights: Callable[[Floats], Floats]
-) -> tuple[State, Floats]:
+    problem: NetworkProblem,
+    state: NetworkState,
+    count: int,
+    least: float,
+    steps: int,
+    weights: Callable[[Floats], Floats],
+) -> tuple[NetworkState, Floats]:
     """State with one kind of weights, and the whitened residuals (m,).
 
     The scale of the residuals never increases: otherwise a large error would gain weight by distorting the network
@@ -141,11 +149,11 @@ class Component:
 
 def estimated_components(
     problem: NetworkProblem,
-    solution: Solution[State],
+    solution: Solution[NetworkState],
     grouping: Grouping,
-    find: Callable[[NetworkProblem, State], tuple[NetworkProblem, Solution[State]]],
+    find: Callable[[NetworkProblem, NetworkState], tuple[NetworkProblem, Solution[NetworkState]]],
     use: Bools | None = None,
-) -> tuple[NetworkProblem, Solution[State], tuple[Component, ...]]:
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[Component, ...]]:
     """Problem with standard deviations scaled by group until each agrees with its residuals; its solution.
 
     `find` solves a problem and may reject readings; it gets all readings of `use` (n, 3) again with the new noise,
@@ -191,7 +199,7 @@ def _scaled(declared: NetworkProblem, factor: Floats, group: Ints, use: Bools) -
     return replace(declared, sigma=declared.sigma * factor[group], levels=levels, use=use)
 
 
-def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:
+def _sums(problem: NetworkProblem, solution: Solution[NetworkState], group: Ints, count: int) -> tuple[Floats, Floats]:
     """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are last."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, Marks, YawRows
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 
 
@@ -66,7 +66,10 @@ class Unknowns:
         pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
         pose[has_columns] = fresh(int(has_columns.sum()), 1)[:, 0]
         target[keep] = fresh(int(keep.sum()), 3)
-        instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
+        instrument, extra = (
+            fresh(len(recording.instruments), model.construction.n_parameters),
+            fresh(1, model.n_extra_parameters)[0],
+        )
         n_reduced = size
         target[~keep] = fresh(int((~keep).sum()), 3)
         pose[over, :3] = target[marks.target[over]]
@@ -188,11 +191,11 @@ class Structure:
         rows.append(unknowns.target[self.scale])
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
-    def held_directions(self, state: State) -> Floats:
+    def held_directions(self, state: NetworkState) -> Floats:
         """Directions (h, 3) in these columns."""
-        yaw = state.rotation[self.yaw] @ VERTICAL
-        tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
-        arm = state.points[self.scale] - state.position[self.oriented_stations[: len(self.scale)]]
+        yaw = state.station_rotations[self.yaw] @ VERTICAL
+        tilt = np.swapaxes(state.station_rotations[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
+        arm = state.target_points[self.scale] - state.station_positions[self.oriented_stations[: len(self.scale)]]
         away = arm / np.linalg.norm(arm, axis=1, keepdims=True)
         single = np.zeros((self.held - len(yaw) - len(tilt) - len(away), 3))
         single[:, 0] = 1.0

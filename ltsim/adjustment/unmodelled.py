@@ -11,12 +11,14 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import AT_ONCE, Floats, Ints
 from ltsim.core.units import PPM
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.physics.effects.air import air_errors, turbulence_variance
-from ltsim.physics.effects.rays import bending
+from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
+from ltsim.physics.effects.rays import relative_index_change_per_kelvin
 from ltsim.recordings.air import Air
 from ltsim.solve.design import PIECE, Design, weighted
 
-TEMPERATURE, GRADIENT, TURBULENCE = "temperature of the air", "gradient of the air", "turbulence"
+TEMPERATURE = "temperature of the air"
+GRADIENT = "gradient of the air"
+TURBULENCE = "turbulence"
 
 
 def reach_of(adjustment: Adjustment, columns: Ints) -> Floats:
@@ -68,7 +70,7 @@ def _common_shifts(adjustment: Adjustment, air: Air) -> tuple[Floats, Ints]:
     One standard deviation of each; shifts are in standard deviations of the readings.
     """
     rows, columns = np.nonzero(adjustment.problem.use)
-    errors = air_errors(air, adjustment.sightings)[rows, columns]
+    errors = reading_changes_per_sigma(air, adjustment.sightings)[rows, columns]
     return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
 
 
@@ -84,7 +86,7 @@ def shared_air_errors(air: Air) -> tuple[str, str]:
 
     Poses and targets absorb them, so that residuals do not show them.
     """
-    scale = air.temperature_k * bending() / PPM
+    scale = air.temperature_k * relative_index_change_per_kelvin() / PPM
     return (
         f"air {air.temperature_k:g} K warmer at all stations than its thermometer (scale {scale:.2g} ppm)",
         f"vertical gradient of {air.gradient_k_per_m:g} K/m at all stations",
@@ -153,7 +155,7 @@ def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict
     moved = adjustment.factor.covariance_columns(right)
     if adjustment.datum is not None:
         moved = moved - adjustment.datum.motion @ (adjustment.datum.carried.T @ right)
-    motion = rigid_motion(adjustment.state.points[targets])
+    motion = rigid_motion(adjustment.state.target_points[targets])
     sizes = {}
     for name, response in zip(shared_air_errors(chosen), moved[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]

@@ -105,7 +105,7 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
 
 def _reasons(adjustment: Adjustment) -> str:
     """Possible reasons for a rejected fit; the instrument is one if its constants are neither removed nor estimated."""
-    if adjustment.construction.size or adjustment.recording.is_corrected:
+    if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
         return "the noise is larger than declared or a systematic effect is missing from the model"
     return (
         "the instrument's constants are in the readings, the noise is larger than declared, or a systematic effect is "

@@ -16,7 +16,7 @@ from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.results import Table
 from ltsim.core.units import FACTOR, MILLIMETRE
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import Construction, with_parameters
+from ltsim.physics.model.construction import Construction, construction_for_parameters
 from ltsim.recordings.files import shown
 from ltsim.recordings.recording import OBSERVABLES
 
@@ -75,10 +75,10 @@ class CalibrationArrays(ValueEquality):
 
     def part(self, instrument: int, keep: Ints) -> CalibrationArrays:
         """Arrays of one instrument with the parameters `keep` (k,)."""
-        row, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
+        row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + keep
         return replace(
             self,
-            construction=self.construction.only(keep),
+            construction=self.construction.with_parameter_subset(keep),
             instruments=self.instruments[row],
             values=self.values[row, keep],
             prior_sigma=self.prior_sigma[row, keep],
@@ -101,12 +101,12 @@ def arrays_from(
         One sentence: key, value, expected value.
     """
     try:
-        built = with_parameters(construction, [row.name for row in rows])
+        built = construction_for_parameters(construction, [row.name for row in rows])
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
     instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
-    place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
-    at = _places(construction, rows, place, built.names, file)
+    place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
+    at = _places(construction, rows, place, built.parameter_names, file)
     factor = np.array([FACTOR[row.unit] for row in rows])
 
     def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
@@ -124,7 +124,7 @@ def arrays_from(
         merged[np.ix_(at, at)] = np.array(covariance) * np.outer(factor, factor)
     held, prior_rejected = np.zeros((2, len(place)), dtype=bool)
     held[at], prior_rejected[at] = [row.held for row in rows], [row.prior_rejected for row in rows]
-    shape = (len(instruments), built.size)
+    shape = (len(instruments), built.n_parameters)
     arrays = CalibrationArrays(
         construction=built,
         instruments=instruments,

@@ -149,7 +149,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     @classmethod
     def of(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
         """Calibration from its arrays and other fields."""
-        factors = np.tile([p.factor for p in arrays.construction.parameters], len(arrays.instruments))
+        factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in DERIVED} | fields
         bayes = fields["method"] == "network" and not fields["history_prior"]
@@ -208,7 +208,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     @property
     def names(self) -> tuple[str, ...]:
         """Names (I p) of all parameters, with ``@instrument`` for several instruments."""
-        return self.construction.names_of(self.instruments)
+        return self.construction.instrument_parameter_names(self.instruments)
 
     @property
     def values(self) -> Floats:
@@ -321,7 +321,7 @@ class Calibration(UncertaintyEntry, ResultFile):
             return {}
         sizes = {entry.reflector: {p.name: p.value for p in entry.parameters} for entry in self.reflectors}
         return {
-            name: np.array([float(values.get(p.name, 0.0)) * p.factor for p in SmrIncidence.parameters])
+            name: np.array([float(values.get(p.name, 0.0)) * p.si_per_display_unit for p in SmrIncidence.parameters])
             for name, values in sizes.items()
         }
 
@@ -357,7 +357,7 @@ def _parameters(arrays: CalibrationArrays, applied: Floats) -> tuple[ParameterEn
     entries = []
     for i, instrument in enumerate(arrays.instruments):
         for k, parameter in enumerate(arrays.construction.parameters):
-            value, sigma, factor = arrays.values[i, k], arrays.sigma[i, k], parameter.factor
+            value, sigma, factor = arrays.values[i, k], arrays.sigma[i, k], parameter.si_per_display_unit
             differs = abs(applied[i, k] - value) > SAME * max(abs(value), sigma)
             entry = ParameterEntry(
                 name=parameter.name,
@@ -380,7 +380,7 @@ def _of_each(
     estimates_of: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryT, ...]:
     """Entries of each instrument from its values and covariance, transformed by `estimates_of` if given."""
-    several, size = len(arrays.instruments) > 1, arrays.construction.size
+    several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
     rows: list[EntryT] = []
     parameters = arrays.construction.parameters
     for i, (name, values) in enumerate(zip(arrays.instruments, arrays.values, strict=True)):

@@ -30,7 +30,8 @@ from ltsim.recordings.result_file import Entry, Finite
 RESOLVED = 1e-12
 """Relative eigenvalue below which a covariance is singular by construction (rounding), and least variance, in prior
 variances."""
-ROUNDS, SETTLED = 2000, 1e-4
+ROUNDS = 2000
+SETTLED = 1e-4
 """Largest number of expectation-maximisation steps (linear convergence); change of log variances that ends them."""
 
 
@@ -120,9 +121,9 @@ class CalibrationSeries(ValueEquality):
         """
         if len(named) < 2:
             raise RecordError(f"the history has {len(named)} calibration(s); expected at least two to compare")
-        if len({c.construction.names for _, c in named}) > 1:
+        if len({c.construction.parameter_names for _, c in named}) > 1:
             raise RecordError("the calibrations hold different parameters, expected one construction for all")
-        if not named[0][1].construction.size:
+        if not named[0][1].construction.n_parameters:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in named:
             if calibration.history_prior:
@@ -132,7 +133,7 @@ class CalibrationSeries(ValueEquality):
         for (label, _), calibration in zip(named, chosen, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
-                name = calibration.construction.names[unsure[0]]
+                name = calibration.construction.parameter_names[unsure[0]]
                 raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
         labels = tuple(label for label, _ in named)
         declared = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
@@ -203,7 +204,7 @@ class CalibrationSeries(ValueEquality):
         order = np.argsort(chances)
         holds = chances[order] > FAMILY_LEVEL / np.arange(len(order), 0, -1)
         changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
-        unit = self.prior_sigma / [p.factor for p in parameters]
+        unit = self.prior_sigma / [p.si_per_display_unit for p in parameters]
         test: dict[str, Any] = _test(*self._contrasted(contrast, self._informative)).model_dump()
         return ChangeEntry(
             **test | {"from": self.labels[first], "to": self.labels[second]},
@@ -232,7 +233,7 @@ class CalibrationSeries(ValueEquality):
             return _test(*self._contrasted(contrast, self._informative))
         if not self._gain[parameter] > UNINFORMATIVE:
             return ChiSquareEntry.of(0.0, 0)
-        return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
+        return _test(*self._contrasted(contrast, np.eye(self.construction.n_parameters)[:, [parameter]]))
 
     def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
         """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
@@ -251,8 +252,8 @@ class CalibrationSeries(ValueEquality):
         """
         information = np.array([e.information for e in self._evidence])
         vectors = np.array([e.information_vector for e in self._evidence])
-        identity, variance = np.eye(self.construction.size), np.ones(self.construction.size)
-        mean, of_mean = np.zeros(self.construction.size), identity
+        identity, variance = np.eye(self.construction.n_parameters), np.ones(self.construction.n_parameters)
+        mean, of_mean = np.zeros(self.construction.n_parameters), identity
         for _ in range(ROUNDS):
             # With N and V: weight of the mean in an estimate, covariance of the estimate, covariance of the mean.
             keeps = np.linalg.inv(identity + variance[:, None] * information)
@@ -305,7 +306,7 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
         return calibration
     if instrument not in names:
         raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
-    return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
+    return calibration.part(names.index(instrument), np.arange(calibration.construction.n_parameters))
 
 
 def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:

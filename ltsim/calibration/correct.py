@@ -8,9 +8,9 @@ from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.geometry.polar import to_face, to_polar, wrap
-from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.incidence import incidence_shift
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
 
@@ -73,14 +73,14 @@ def incidence_change(recording: Recording, calibration: Calibration) -> Floats:
     Directions of nests and an approximate network are needed; without them it is zero.
     """
     reflectors = calibration.applied_reflectors
-    model = MeasurementModel(recording, ideal())
-    if not any(error.reflector in reflectors for error in model.incidence):
+    model = MeasurementModel(recording, ideal_construction())
+    if not any(error.reflector in reflectors for error in model.incidence_errors):
         return np.zeros(recording.readings.shape)
     try:
         (position, rotation, points), _ = initial_network(recording)
     except NetworkError:
         return np.zeros(recording.readings.shape)
-    sightings = model.sightings(State(position, rotation, points, np.zeros((len(recording.instruments), 0))))
+    sightings = model.sightings(NetworkState(position, rotation, points, np.zeros((len(recording.instruments), 0))))
     return incidence_shift(recording, sightings, reflectors)
 
 
@@ -106,8 +106,8 @@ def _filler(recording: Recording) -> Floats:
     if untied.any():
         name = recording.targets[recording.target[int(np.argmax(untied))]]
         raise _placeless(untied, f"no reading connects target {name} to it")
-    model = MeasurementModel(recording, ideal())
-    return model.predict(State(position, rotation, points, np.zeros((1, 0))))
+    model = MeasurementModel(recording, ideal_construction())
+    return model.predict(NetworkState(position, rotation, points, np.zeros((1, 0))))
 
 
 def _placeless(rows: Bools, why: str) -> NetworkError:

@@ -22,7 +22,7 @@ from ltsim.calibration.prior_information import Choice
 from ltsim.calibration.schema import Fit
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.construction import Construction, declared_construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import SourceEntry
@@ -84,7 +84,7 @@ def calibrate_distance(
         null_space=null_space,
         held=held,
         targets=recording.targets,
-        points=adjustment.state.points,
+        points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
         adjustment=adjustment,
@@ -131,7 +131,7 @@ def _undetermined(
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
         return result.undetermined_of(adjustment, construction, [list(estimate.undetermined)], advise=advise)
-    names = construction.names_of(instruments)
+    names = construction.instrument_parameter_names(instruments)
     return tuple(
         Combination(combination=d.coefficients(names), gain=d.gain, cure="try the network method")
         for d in estimate.undetermined
@@ -177,8 +177,8 @@ class Propagation:
         """Design B in units of the prior sigmas, (m, I p); gauge lengths do not depend on the parameters."""
         recording, (count, size) = self.recording, self.values.shape
         state = self.adjustment.state
-        at = State(state.position, state.rotation, state.points, self.values)
-        by_value = MeasurementModel(recording, self.construction).linearised(at).by_instrument
+        at = NetworkState(state.station_positions, state.station_rotations, state.target_points, self.values)
+        by_value = MeasurementModel(recording, self.construction).linearised(at).instrument_derivatives
         prior = prior_sigmas(recording, self.construction)[recording.instrument]
         wide = np.zeros((len(recording), 3, count, size))
         wide[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]

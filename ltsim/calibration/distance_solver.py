@@ -24,9 +24,11 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.solve.absolute import least_absolute
 
-CAP, CLOSED = 30, 1e-7
+CAP = 30
+CLOSED = 1e-7
 """Largest number of steps, and largest change of an unknown, in prior sigmas, at which the iteration has converged."""
-LEAST_CAP, LEAST_CLOSED = 60, 1e-9
+LEAST_CAP = 60
+LEAST_CLOSED = 1e-9
 """Largest number of steps, and relative change at which the iteration has converged, for the minimum of eq. 9; the
 change is that of an unknown (in prior sigmas) or of the objective.
 """

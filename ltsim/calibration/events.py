@@ -71,7 +71,7 @@ def events(history: CalibrationSeries) -> tuple[EventEntry, ...]:
     return tuple(
         EventEntry(
             **{"from": history.labels[i], "to": history.labels[i + 1]},
-            name=history.construction.names[k],
+            name=history.construction.parameter_names[k],
             unit=history.construction.parameters[k].unit,
             difference=difference[i, k],
             sigma=sigma[i, k],

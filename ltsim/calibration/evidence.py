@@ -117,7 +117,7 @@ def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floa
     entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
         at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
-        block, factor = covariance[np.ix_(at, at)], parameters[at[0]].factor
+        block, factor = covariance[np.ix_(at, at)], parameters[at[0]].si_per_display_unit
         alone = np.sqrt(np.diag(block))
         variances, vectors = np.linalg.eigh(block)
         for variance, vector in zip(variances, vectors.T, strict=True):
@@ -174,8 +174,8 @@ def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Float
         entries.append(
             HarmonicEntry(
                 name=name,
-                amplitude=amplitude / parameter.factor,
-                sigma=sigma / parameter.factor,
+                amplitude=amplitude / parameter.si_per_display_unit,
+                sigma=sigma / parameter.si_per_display_unit,
                 unit=parameter.unit,
                 phase_deg=None if phase is None else phase / DEGREE,
                 sigma_phase_deg=None if spread is None else spread / DEGREE,

@@ -17,11 +17,11 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.core.errors import ModelError, option
 from ltsim.core.units import FACTOR
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.sizes import sizes_of
-from ltsim.physics.laws.words import AT_EACH_SET_UP, describe
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.sizes import displayed_sizes
+from ltsim.physics.laws.words import PER_SETUP_SUFFIX, regressor_text
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
@@ -34,7 +34,7 @@ PASSES = 3
 class RequestedEffect:
     """An effect or law to estimate; fields that are not `fixed` are chosen by the readings."""
 
-    effect: Tunable
+    effect: CandidateEffect
     fixed: frozenset[str] = frozenset()
 
     def check(self, recording: Recording, construction: Construction) -> None:
@@ -43,17 +43,17 @@ class RequestedEffect:
         if isinstance(effect, NoiseEffect):
             how = f"use {option('noise_from_data=True')} to estimate the noise"
             raise ModelError(f"{name} changes the noise, not the readings; {how}")
-        if isinstance(effect, Mistake):
+        if isinstance(effect, Blunder):
             raise ModelError(f"{name} is a blunder in the recording and has no size; ltsim diagnose corrects it")
         parameter_names = {p.name for p in effect.parameters}
-        if not effect.place and parameter_names <= set(construction.names):
+        if not effect.place_text and parameter_names <= set(construction.parameter_names):
             raise ModelError(f"{name} is part of the ordinary calibration; confine it to a station, as in {name}:NAME")
         for kind, names in zip(PLACES, (recording.stations, recording.targets), strict=True):
             lost = sorted(set(getattr(effect, kind)) - set(names))
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
-    def candidates(self, adjustment: Adjustment) -> Sequence[Tunable]:
+    def candidates(self, adjustment: Adjustment) -> Sequence[CandidateEffect]:
         """All instances of the effect that agree with the fixed fields."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
@@ -64,14 +64,14 @@ class RequestedEffect:
         ]
         if same:
             return same
-        free = [s for s in self.effect.shape if s.name not in self.fixed]
+        free = [s for s in self.effect.shape_parameters if s.name not in self.fixed]
         grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free))
-        return [self.effect.reshaped(**dict(shape)) for shape in grids]
+        return [self.effect.with_constants(**dict(shape)) for shape in grids]
 
 
 def fit_with_extra_effects(
-    adjusted: Callable[[Sequence[Tunable]], Adjustment],
-    always: Sequence[Tunable],
+    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    always: Sequence[CandidateEffect],
     extra_effects: Sequence[RequestedEffect],
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """Adjustment with the requested effects, each chosen given those before, and the entry of each.
@@ -88,13 +88,13 @@ def fit_with_extra_effects(
             fixed.append(wanted.fixed)
             adjustment, fit = _settled(adjusted, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
-        place = "" if isinstance(estimated, Law) and estimated.each else estimated.place
+        place = "" if isinstance(estimated, EmpiricalLaw) and estimated.is_per_setup else estimated.place_text
         drop = max(before - adjustment.chi2, 0.0)
         name, tried = name_of(best, adjustment), len(candidates)
         fits.append(FittedEffectEntry(effect=name, where=place, chi2_drop=drop, freedom=freedom, tried=tried))
     first = len(always)
     rows = (
-        _sizes(effect, adjustment) if isinstance(effect, Law) else _rows(effect, estimated, given)
+        _sizes(effect, adjustment) if isinstance(effect, EmpiricalLaw) else _rows(effect, estimated, given)
         for effect, estimated, given in zip(fit.effects[first:], fit.estimates[first:], fixed[first:], strict=True)
     )
     return adjustment, tuple(
@@ -103,7 +103,9 @@ def fit_with_extra_effects(
 
 
 def _settled(
-    adjusted: Callable[[Sequence[Tunable]], Adjustment], effects: Sequence[Tunable], fixed: Sequence[frozenset[str]]
+    adjusted: Callable[[Sequence[CandidateEffect]], Adjustment],
+    effects: Sequence[CandidateEffect],
+    fixed: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
     """Adjustment with effects at their best constants, and the refit with its readings and weights."""
     for _ in range(PASSES):
@@ -118,24 +120,29 @@ def _settled(
 
 def name_of(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for a law its text form."""
-    if not isinstance(effect, Law):
+    if not isinstance(effect, EmpiricalLaw):
         return effect.name
-    suffix = AT_EACH_SET_UP if effect.each else ""
-    return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}{suffix}"
+    suffix = PER_SETUP_SUFFIX if effect.is_per_setup else ""
+    return f"{effect.response.name} ~ {regressor_text(effect.regressor, clock=adjustment.recording.has_clock)}{suffix}"
 
 
-def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
+def _sizes(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """Estimated sizes of a law among an adjustment's effects, one entry each."""
     before = adjustment.effects[: adjustment.effects.index(law)]
     first = sum(len(effect.parameters) for effect in before)
     columns = slice(first, first + len(law.parameters))
-    sizes = sizes_of(
-        law, adjustment.sightings, adjustment.state.extra[columns], adjustment.extra_covariance[columns, columns]
+    sizes = displayed_sizes(
+        law,
+        adjustment.sightings,
+        adjustment.state.extra_parameters[columns],
+        adjustment.extra_covariance[columns, columns],
     )
     return tuple(FittedParameterEntry(**size._asdict()) for size in sizes)
 
 
-def _rows(effect: Tunable, estimates: Sequence[Estimated], fixed: frozenset[str]) -> tuple[FittedParameterEntry, ...]:
+def _rows(
+    effect: CandidateEffect, estimates: Sequence[Estimated], fixed: frozenset[str]
+) -> tuple[FittedParameterEntry, ...]:
     """Entries of an effect: parameters, kind, fixed constants, and estimated constants."""
     numbers = [_row(*estimate) for estimate in estimates]
     words = [
@@ -143,7 +150,7 @@ def _rows(effect: Tunable, estimates: Sequence[Estimated], fixed: frozenset[str]
         for key, value in vars(effect).items()
         if isinstance(value, str) or type(value) is int  # the order of a harmonic
     ]
-    given = [_row(s, getattr(effect, s.name), np.inf) for s in effect.shape if s.name in fixed]
+    given = [_row(s, getattr(effect, s.name), np.inf) for s in effect.shape_parameters if s.name in fixed]
     count = len(effect.parameters)
     return (*numbers[:count], *words, *given, *numbers[count:])
 

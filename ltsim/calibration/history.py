@@ -122,14 +122,14 @@ class History(ResultFile):
     @classmethod
     def of(cls, series: CalibrationSeries) -> Self:
         """Result of a series, with parameters in units of display."""
-        factors = np.array([p.factor for p in series.construction.parameters])
+        factors = np.array([p.si_per_display_unit for p in series.construction.parameters])
         made = cls(
             construction=series.construction.name,
             calibrations=tuple(
                 CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
                 for label, c in zip(series.labels, series.calibrations, strict=True)
             ),
-            parameters=tuple(_course(series, k) for k in range(series.construction.size)),
+            parameters=tuple(_course(series, k) for k in range(series.construction.n_parameters)),
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
             constant=series.constancy(),
             changes=tuple(series.changes()),
@@ -212,10 +212,10 @@ def _course(series: CalibrationSeries, k: int) -> CourseEntry:
     return CourseEntry(
         name=parameter.name,
         unit=parameter.unit,
-        values=(series.values[:, k] / parameter.factor).tolist(),
-        sigmas=(series.sigma[:, k] / parameter.factor).tolist(),
-        prior_sigma=series.prior_sigma[k] / parameter.factor,
-        mean=population.mean[k] / parameter.factor,
-        spread=population.spread[k] / parameter.factor,
+        values=(series.values[:, k] / parameter.si_per_display_unit).tolist(),
+        sigmas=(series.sigma[:, k] / parameter.si_per_display_unit).tolist(),
+        prior_sigma=series.prior_sigma[k] / parameter.si_per_display_unit,
+        mean=population.mean[k] / parameter.si_per_display_unit,
+        spread=population.spread[k] / parameter.si_per_display_unit,
         constant=series.constancy(k),
     )

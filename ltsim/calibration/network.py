@@ -27,8 +27,8 @@ from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.limits import CALIBRATED_POINTINGS
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.effects.verbs import names
-from ltsim.physics.model.construction import Construction, declared_construction, ideal
+from ltsim.physics.effects.verbs import name_tuple
+from ltsim.physics.model.construction import Construction, declared_construction, ideal_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -67,7 +67,7 @@ def calibrate_network(
     chosen = choice or Choice()
     for wanted in extra_effects:
         wanted.check(recording, built)
-    modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
+    modes = [RangeMode()] if built.n_parameters and MODE_COLUMN in recording.circumstances else []
     expected = expected_sigmas(recording, built) if weigh else prior_sigmas(recording, built)
     prior, history_prior = chosen.over(expected, recording, built), chosen.prior is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
@@ -147,9 +147,11 @@ def adjust(
     (28, 7)
     """
     source = recording_of(recording)
-    chosen = None if datum is None else names(datum)
+    chosen = None if datum is None else name_tuple(datum)
     selection = identified(source)
-    adjustment = _adjusted(source, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
+    adjustment = _adjusted(
+        source, ideal_construction(), robust, _grouping(noise_from_data), chosen, selection=selection
+    )
     tests, constants = () if selection is None else outcomes(selection), _fit_with_constants(adjustment)
     how = {"robust": robust, "tests": tests, "with_constants": constants}
     return reported(_calibration(source, adjustment, "adjustment", advise=False, **how))
@@ -219,7 +221,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.reduced_covariance[at[:, None], at], 0.0)
     prior = adjustment.problem.prior.sigma
-    values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
+    values, directions = adjustment.state.instrument_parameters, result.directions_of(covariance, prior)
     arrays = CalibrationArrays(
         construction=construction,
         instruments=recording.instruments,
@@ -228,7 +230,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         covariance=covariance,
         held=held,
         targets=recording.targets,
-        points=adjustment.state.points,
+        points=adjustment.state.target_points,
         target_covariance=adjustment.target_covariance,
         adjustment=adjustment,
     )

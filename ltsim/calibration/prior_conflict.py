@@ -26,13 +26,14 @@ whole, which `shrinkage` treats by its scale.
 """
 CORRECTED = "its declared correction, which leaves"
 """Text for the prior of an instrument that the set-up declares corrected."""
-MOST_SENTENCES, MOST_TERMS = 3, 6
+MOST_SENTENCES = 3
+MOST_TERMS = 6
 """Largest number of sentences, and of terms of a combination, in a report."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
     """Square root of chi-square over the degrees of freedom, without the contribution of the parameters' prior."""
-    gap = adjustment.problem.prior.residual(adjustment.state.instrument)
+    gap = adjustment.problem.prior.residual(adjustment.state.instrument_parameters)
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
 
@@ -53,7 +54,7 @@ def prior_rejected(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
         return rejected
     free, size = np.flatnonzero(~prior.held.ravel()), prior.mean.shape[1]
     unit, used_sigma = prior.sigma.ravel()[free], adjustment.problem.prior.sigma.ravel()[free]
-    gap = (adjustment.state.instrument - prior.mean).ravel()[free]
+    gap = (adjustment.state.instrument_parameters - prior.mean).ravel()[free]
     likelihood = likelihood_information(gap, adjustment.constants_covariance[np.ix_(free, free)], used_sigma, unit)
     common = np.tile(np.eye(size), len(rejected))[~prior.held.any(axis=0) & (len(rejected) > 1)]
     ways = np.concatenate([np.eye(rejected.size)[free], common])[:, free]
@@ -132,7 +133,7 @@ def _normalised(deviation: Floats, gain: Floats) -> Floats:
 
 def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
     """Sentence on the combination that contradicts the prior most; combinations are independent in prior sigmas."""
-    size = calibration.construction.size
+    size = calibration.construction.n_parameters
     for i in range(len(calibration.instruments)):
         at = np.flatnonzero(~calibration.held[i])
         root = prior.roots[i][np.ix_(at, at)]

@@ -15,7 +15,7 @@ from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
 from ltsim.core.units import FACTOR
-from ltsim.physics.model.construction import Construction, every_parameter_name
+from ltsim.physics.model.construction import Construction, all_parameter_names
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
@@ -64,7 +64,7 @@ class EarlierCalibrations:
         count, size = calibration.values.shape
         blocks = calibration.covariance.reshape(count, size, count, size)
         covariances = np.stack([blocks[i, :, i][np.ix_(free, free)] for i in range(count)])
-        names = tuple(calibration.construction.names[k] for k in free)
+        names = tuple(calibration.construction.parameter_names[k] for k in free)
         return cls(
             calibration.construction.name,
             names,
@@ -96,13 +96,13 @@ class EarlierCalibrations:
         RecordError
             For another construction or other instruments.
         """
-        common = [name for name in construction.names if name in self.parameters]
+        common = [name for name in construction.parameter_names if name in self.parameters]
         if not common:
             raise RecordError(
                 f"the construction {self.construction} of the earlier calibrations has no parameter of "
                 f"{construction.name}"
             )
-        here = [construction.names.index(name) for name in common]
+        here = [construction.parameter_names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
         mean, covariance = nominal.mean.copy(), nominal.covariance.copy()
         for i, name in enumerate(instruments):
@@ -146,7 +146,7 @@ class Choice:
             nominal = self.prior.over(nominal, construction, recording.instruments)
 
         def places(*wanted: str) -> list[int]:
-            return [k for name in wanted for k in places_of(name, construction.names, recording.instruments)]
+            return [k for name in wanted for k in places_of(name, construction.parameter_names, recording.instruments)]
 
         held = np.zeros(nominal.mean.shape, dtype=bool)
         values = np.zeros(nominal.mean.shape)
@@ -156,14 +156,16 @@ class Choice:
         held.flat[places(*self.without)] = True
         for name, value in self.hold.items():
             at = places(name)
-            if len({k % construction.size for k in at}) > 1:
+            if len({k % construction.n_parameters for k in at}) > 1:
                 raise ModelError(f"'{name}' names several parameters; expected one parameter for a value")
             held.flat[at] = True
-            values.flat[at] = float(value) * construction.parameters[at[0] % construction.size].factor
+            values.flat[at] = (
+                float(value) * construction.parameters[at[0] % construction.n_parameters].si_per_display_unit
+            )
         if held.all():
             raise ModelError("all parameters are held; leave at least one to estimate")
         # Held parameters carry no information on the others.
-        covariance, diagonal = nominal.covariance.copy(), np.eye(construction.size, dtype=bool)
+        covariance, diagonal = nominal.covariance.copy(), np.eye(construction.n_parameters, dtype=bool)
         covariance[(held[:, :, None] | held[:, None, :]) & ~diagonal] = 0.0
         return ParameterPrior(np.where(held, values, nominal.mean), covariance, held)
 
@@ -185,8 +187,10 @@ def check_names(recording: Recording, construction: Construction) -> None:
     """Check that all parameters with a prior in the set-up exist in a construction; raises SetupError."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
-    parameter_names = {*construction.names, *every_parameter_name()}
+    parameter_names = {*construction.parameter_names, *all_parameter_names()}
     for table, instrument in tables.items():
         for name in instrument.prior.parameters:
             if name not in parameter_names:
-                raise SetupError(f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.names)}")
+                raise SetupError(
+                    f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.parameter_names)}"
+                )

@@ -22,7 +22,7 @@ from ltsim.calibration.uncertainty import HiddenError
 from ltsim.core.arrays import Floats
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
-from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air import air_uncertainty_text
 
 FittedT = TypeVar("FittedT", FittedEffectEntry, ReflectorEntry)
 MATTERS = 0.2
@@ -134,4 +134,4 @@ def _air_words(adjustment: Adjustment) -> str:
     air = counted_air(adjustment)
     if air is None or not (air.temperature_k or air.gradient_k_per_m or air.turbulence_um2_per_m3):
         return ""
-    return air_words(air, longest_sight(adjustment))
+    return air_uncertainty_text(air, longest_sight(adjustment))

@@ -34,7 +34,7 @@ from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import smr_lift
+from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
 CONTRADICTS = 3.0
@@ -61,13 +61,15 @@ def fit_of(adjustment: Adjustment) -> Fit:
 def reflectors_of(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
     """Estimated incidence errors of reflectors in fixed nests."""
     model, covariance = adjustment.problem.model, adjustment.extra_covariance
-    values, units = model.reflectors(adjustment.state.extra), SmrIncidence.parameters
+    values, units = model.incidence_parameters_by_reflector(adjustment.state.extra_parameters), SmrIncidence.parameters
     entries = []
-    for error, at in zip(model.incidence, model.incidence_columns, strict=True):
-        sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.root, covariance[at, at], error.root))
+    for error, at in zip(model.incidence_errors, model.incidence_columns, strict=True):
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", error.covariance_root, covariance[at, at], error.covariance_root))
         cells = zip(units, values[error.reflector].tolist(), sigma.tolist(), strict=True)
         parameters = tuple(
-            FittedParameterEntry(name=p.name, value=value / p.factor, sigma=spread / p.factor, unit=p.unit)
+            FittedParameterEntry(
+                name=p.name, value=value / p.si_per_display_unit, sigma=spread / p.si_per_display_unit, unit=p.unit
+            )
             for p, value, spread in cells
         )
         entries.append(ReflectorEntry(reflector=error.reflector, parameters=parameters))
@@ -83,8 +85,8 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
     return tuple(
         StationPose(
             name=name,
-            position_mm=np.where(flat[i] & UP, np.nan, state.position[i] / MILLIMETRE).tolist(),
-            rotation_quaternion=quaternion(state.rotation[i]).tolist(),
+            position_mm=np.where(flat[i] & UP, np.nan, state.station_positions[i] / MILLIMETRE).tolist(),
+            rotation_quaternion=quaternion(state.station_rotations[i]).tolist(),
             sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
             sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
         )
@@ -190,7 +192,7 @@ def axes_of(adjustment: Adjustment) -> AxesEntry | None:
     used = [test for test in adjustment.axis_tests if not test.excluded]
     if not used:
         return None
-    places = adjustment.state.points[[adjustment.recording.targets.index(test.name) for test in used]]
+    places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
     centre = places.mean(axis=0)
     free = about(adjustment.problem.free, centre)
     motion = rigid_motion(places, centre) @ free
@@ -262,7 +264,7 @@ def _free_axes(adjustment: Adjustment, first: str) -> str:
         source = adjustment.recording.setup.axes
         axes = "the axes and the scale" if len(adjustment.problem.structure.scale) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
-    if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
+    if adjustment.datum is None and frame.is_on_plan(state.station_positions, state.station_rotations):
         return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
     return f"the frame of station {first}"
 
@@ -283,7 +285,7 @@ def undetermined_of(
     sentences = determining(adjustment, construction, directions) if advise else nothing
     combinations = []
     for i, group in enumerate(directions):
-        names = construction.names_of(instruments)[i * construction.size :]
+        names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
         for direction, cure in zip(group, sentences[i], strict=True):
             combinations.append(Combination(combination=direction.coefficients(names), gain=direction.gain, cure=cure))
     return tuple(combinations)
@@ -309,13 +311,13 @@ def criteria_of(
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
     recording = _as_reference_smr(recording, adjustment)
     try:
-        if not construction.size:
+        if not construction.n_parameters:
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
-        shift = model.effects_shift(adjustment.sightings, state.extra)
+        shift = model.effects_change(adjustment.sightings, state.extra_parameters)
         if reflectors and np.any(values):
-            shift += model.incidence_shift(adjustment.sightings, state.extra)
+            shift += model.incidence_change(adjustment.sightings, state.extra_parameters)
         return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None
@@ -323,7 +325,7 @@ def criteria_of(
 
 def _as_reference_smr(recording: Recording, adjustment: Adjustment) -> Recording:
     """Recording as measured with the reference SMR."""
-    off = smr_lift(recording)
+    off = smr_radius_offsets(recording)
     if off is None:
         return recording
     readings = recording.readings + exact_target_change(adjustment.sightings, -off)
@@ -335,7 +337,7 @@ def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
-    if Frame.of(recording).resolves_mirror(state.position, state.points):
+    if Frame.of(recording).resolves_mirror(state.station_positions, state.target_points):
         return ()
     return (
         "ranges alone do not distinguish a network from its mirror image; add approximate coordinates of a few targets "
@@ -357,6 +359,6 @@ def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)
-    value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
+    value, sigma = adjustment.state.extra_parameters[0], np.sqrt(adjustment.extra_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
     return (f"the interferometer's range zero less the absolute meter's, was estimated: {zero} (range-mode)",)

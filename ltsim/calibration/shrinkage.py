@@ -84,7 +84,7 @@ def correction_of(
     root = block_diag(*prior.roots)[np.ix_(free, free)]
     at = adjustment.problem.unknowns.instrument.ravel()[free]
     precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(at, at)] @ root.T)
-    vector = precision @ root @ (adjustment.state.instrument.ravel() - mean)[free]
+    vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free]
     within = np.searchsorted(free, used)
     unit = wider or 1.0
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
@@ -246,7 +246,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
     set-up explains is removed, because it needs no calibration.
     """
     recording, state = adjustment.recording, adjustment.state
-    count, size = state.instrument.shape
+    count, size = state.instrument_parameters.shape
     total = np.zeros((count * size, count * size))
     whole = recording.measured.all(axis=1)
     for number in range(len(recording.stations)):
@@ -254,7 +254,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
         if not len(rows):
             continue
         instrument = int(recording.instrument[rows[0]])
-        readings, values = recording.readings[rows], state.instrument[instrument]
+        readings, values = recording.readings[rows], state.instrument_parameters[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
         error = without_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
@@ -303,7 +303,7 @@ def terms_to_drop(adjustment: Adjustment, factor: float = 1.0) -> Ints:
     targets = held_out_targets(adjustment)
     if len(targets) < FEWEST:
         return none
-    values = adjustment.state.instrument.ravel()
+    values = adjustment.state.instrument_parameters.ravel()
     gone, now = none, sum(t.squares(values, none) for t in targets)
     candidates = _terms(adjustment)
     while candidates:
@@ -322,7 +322,7 @@ def _terms(adjustment: Adjustment) -> list[Ints]:
     prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
     remaining = np.diag(adjustment.reduced_covariance)[at] / prior.sigma.ravel() ** 2
     open_ = ~prior.held.ravel() & (remaining < 1.0 - UNINFORMATIVE)
-    sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.names)}
+    sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.parameter_names)}
     each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
     terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
     chosen = [[k for k in term if open_[k]] for term in terms]

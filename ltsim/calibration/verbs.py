@@ -19,9 +19,9 @@ from ltsim.calibration.prior_information import Choice, EarlierCalibrations
 from ltsim.calibration.reported import reported
 from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import Sized, each_of, effect_from, names
-from ltsim.physics.laws.words import read_law
-from ltsim.physics.model.construction import Construction, construction as construction_called
+from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
+from ltsim.physics.laws.words import parse_law
+from ltsim.physics.model.construction import Construction, make_construction as construction_called
 from ltsim.recordings import Recording
 from ltsim.recordings.exchange import RecordingSource, read, recording_of
 
@@ -111,11 +111,11 @@ def calibrate(
         built = _named_construction(construction, harmonics, degree)
     free = isinstance(prior, str) and prior == NO_PRIOR
     earlier = None if prior is None or free else EarlierCalibrations.of(prior)
-    chosen = None if parameters is None else names(parameters)
-    choice = Choice(chosen, names(without), dict(hold or {}), earlier, free)
-    held = None if datum is None else names(datum)
+    chosen = None if parameters is None else name_tuple(parameters)
+    choice = Choice(chosen, name_tuple(without), dict(hold or {}), earlier, free)
+    held = None if datum is None else name_tuple(datum)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
-    effects = each_of(with_effects)
+    effects = effect_tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
     source = recording_of(recording)
@@ -130,12 +130,12 @@ def calibrate(
     return reported(calibrate_distance(source, built, method=method, advise=advise, choice=choice, box=box))
 
 
-def requested_effect(asked: str | Effect | Sized, recording: Recording) -> RequestedEffect:
+def requested_effect(asked: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
     """Requested effect from an effect (default fields are selected by the readings) or a text.
 
     Raises ModelError for sizes.
     """
-    if isinstance(asked, Sized):
+    if isinstance(asked, SizedEffect):
         raise ModelError(f"{asked.effect.name} has a size, as for simulate and inject; give it without a size")
     if isinstance(asked, str):
         return _in_words(asked, recording)
@@ -164,9 +164,9 @@ def _in_words(text: str, recording: Recording) -> RequestedEffect:
     if is_law and constants:
         raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
-        return RequestedEffect(read_law(carrier.strip(), driver.strip(), recording, **places))
+        return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
     fixed = {kind for kind, named in places.items() if named} | set(constants)
-    return RequestedEffect(effect_from(name.strip(), places, constants), frozenset(fixed))
+    return RequestedEffect(make_effect(name.strip(), places, constants), frozenset(fixed))
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
@@ -273,7 +273,7 @@ def history(
         named = [(label, _labelled(label, source, options)[1]) for label, source in sources.items()]
     else:
         named = [_labelled(str(number), source, options) for number, source in enumerate(sources, start=1)]
-    return History.of(CalibrationSeries.of(named, instrument, None if dates is None else names(dates)))
+    return History.of(CalibrationSeries.of(named, instrument, None if dates is None else name_tuple(dates)))
 
 
 def _labelled(label: str, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:

@@ -28,7 +28,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, construction_with_orders
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.simulation.draws import NormalSource
 
 
@@ -76,7 +76,12 @@ class GeometryStack(CellTruth):
         order = [np.argsort(_keys(truth)) for truth in truths]
         rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
         rows[order[0]] = np.stack(order, axis=1)
-        return cls(**shared, state=State(position, rotation, points, first.state.instrument), truths=truths, rows=rows)
+        return cls(
+            **shared,
+            state=NetworkState(position, rotation, points, first.state.instrument_parameters),
+            truths=truths,
+            rows=rows,
+        )
 
     def gathered(self, each: Iterable[Floats]) -> Floats:
         """Arrays (n, ...) of the trials in the common order of pointings, stacked along a last index."""
@@ -109,7 +114,7 @@ class GeometryStack(CellTruth):
     def _laid_out(self, built: Construction) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by its parameters."""
         flat = np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
-        by_value = built.reading_design(flat, np.zeros(built.size))[1]
+        by_value = built.reading_design(flat, np.zeros(built.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.rows.shape, *by_value.shape[1:]), 1, -1)
         return ChainProgram.of(built, flat).spread(len(self.truths)), np.ascontiguousarray(by_trial)
 

@@ -34,11 +34,11 @@ def labels_of(
     construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
 ) -> list[ParameterLabel]:
     """Labels of the parameters of all instruments, then of those of effects."""
-    names, counts = construction.names_of(instruments), Counter[str]()
+    names, counts = construction.instrument_parameter_names(instruments), Counter[str]()
     labels = [ParameterLabel(*pair) for pair in zip(names, construction.parameters * len(instruments), strict=True)]
     for effect in effects:
         for parameter in effect.parameters:
-            name = f"{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
+            name = f"{effect.name}:{parameter.name}" + (f" {effect.place_text}" if effect.place_text else "")
             counts[name] += 1
             again = f" #{counts[name]}" if counts[name] > 1 else ""
             labels.append(ParameterLabel(name + again, parameter, effect))
@@ -47,7 +47,10 @@ def labels_of(
 
 def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> Columns:
     """Columns of parameters (P, B) [SI] in units of display, such as ``estimate:beam-tilt``."""
-    return {f"{prefix}:{label.name}": row / label.parameter.factor for label, row in zip(labels, values, strict=True)}
+    return {
+        f"{prefix}:{label.name}": row / label.parameter.si_per_display_unit
+        for label, row in zip(labels, values, strict=True)
+    }
 
 
 def z_scores(
@@ -109,5 +112,5 @@ def rows_of_method(cell: int, method: str, parts: list[Columns]) -> pa.Table:
     }
     for name, values in merged.items():
         empty = np.isnan(values) | (lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
-        columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
+        columns[name] = pa.array(values.astype(np.float32), pa.float32(), row_weights=empty)
     return pa.table(columns)

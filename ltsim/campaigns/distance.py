@@ -36,7 +36,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.solve.absolute import least_absolute
 
-CAP, CAP_OF_WEAK = 10, 30
+CAP = 10
+CAP_OF_WEAK = 30
 """Largest number of steps; the second value applies to weakly determined combinations by least squares."""
 CONVERGED_CHANGE = 3e-5
 """Largest change of an unknown, in prior sigmas, of a converged trial; the remaining error is a hundredth of it."""

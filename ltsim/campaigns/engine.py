@@ -24,7 +24,7 @@ from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certificates
@@ -70,8 +70,8 @@ class Calibrated:
     @classmethod
     def none(cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
         """Results of trials without a solution."""
-        values = np.full((len(truth.recording.instruments), construction.size, trials), np.nan)
-        points = np.full((*truth.state.points.shape[:2], trials), np.nan)
+        values = np.full((len(truth.recording.instruments), construction.n_parameters, trials), np.nan)
+        points = np.full((*truth.state.target_points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
         lost = np.full(trials, STATUSES.index(FAILED))
         reflectors = {name: np.zeros((len(SmrIncidence.parameters), trials)) for name in truth.reflectors}
@@ -124,7 +124,7 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
     Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
     """
     lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
-    points = np.where(lost[:, None], np.nan, adjustment.state.points)
+    points = np.where(lost[:, None], np.nan, adjustment.state.target_points)
     if adjustment.recording.measured[:, 1:].any():
         return on_points(points, goal)
     hands = [on_points(points * hand, goal) for hand in (1.0, [1.0, 1.0, -1.0])]
@@ -173,12 +173,14 @@ class SerialCalibrator(Calibrator):
                 continue
             calibrated.values[:, :, trial], calibrated.sigma[:, :, trial] = values, sigma
             n_extra = len(calibrated.extra)
-            calibrated.extra[:, trial] = adjustment.state.extra[:n_extra]
+            calibrated.extra[:, trial] = adjustment.state.extra_parameters[:n_extra]
             calibrated.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance)[:n_extra])
             if self.method == "network":
-                for name, parameters in adjustment.problem.model.reflectors(adjustment.state.extra).items():
+                for name, parameters in adjustment.problem.model.incidence_parameters_by_reflector(
+                    adjustment.state.extra_parameters
+                ).items():
                     calibrated.reflectors[name][:, trial] = parameters
-            true = self.truth.state.points
+            true = self.truth.state.target_points
             calibrated.points[:, :, trial] = placed_on(adjustment, true) - true
             calibrated.chi2[trial], calibrated.status[trial] = adjustment.chi2, STATUSES.index(CONVERGED)
         return calibrated
@@ -192,7 +194,7 @@ class SerialCalibrator(Calibrator):
             adjustment = adjust(recording, self.construction, effects=self.effects)
             adjustment.solution.require_success()
             variance = np.diag(adjustment.reduced_covariance)[adjustment.problem.unknowns.instrument]
-            return adjustment, adjustment.state.instrument, np.sqrt(variance)
+            return adjustment, adjustment.state.instrument_parameters, np.sqrt(variance)
         calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
         return calibration.adjustment, calibration.values, calibration.sigma
 
@@ -212,7 +214,7 @@ class BatchCalibrator(Calibrator):
     @cached_property
     def network(self) -> BatchNetwork:
         """Factorised network from which the targets are computed."""
-        truth, built = self.truth, self.construction if self.method == "network" else ideal()
+        truth, built = self.truth, self.construction if self.method == "network" else ideal_construction()
         program, recorded = truth.program_of(built), truth.recorded
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, recorded=recorded)
 
@@ -247,7 +249,7 @@ class BatchCalibrator(Calibrator):
         if other.status[trial] != 0:
             return float("nan")
         values = np.abs(other.values[:, :, trial] - calibrated.values[:, :, trial]) / calibrated.sigma
-        truth = self.truth.state.points
+        truth = self.truth.state.target_points
         batch = truth + calibrated.points[:, :, trial]
         gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self.sigma_targets
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
@@ -258,7 +260,7 @@ class BatchCalibrator(Calibrator):
         start, end = self.network.sizes[:2]
         covariance = self.network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
-        points = self.truth.state.points
+        points = self.truth.state.target_points
         datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
         blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))

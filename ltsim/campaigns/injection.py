@@ -18,10 +18,10 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.effects.verbs import Sized
-from ltsim.physics.laws.law import Law
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.verbs import SizedEffect
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
@@ -36,7 +36,10 @@ MIN_OVERLAP = 0.5
 
 
 def inject(
-    recording: RecordingSource, *causes: str | Tunable | Sized, noncentrality: float | None = None, seed: int = 0
+    recording: RecordingSource,
+    *causes: str | CandidateEffect | SizedEffect,
+    noncentrality: float | None = None,
+    seed: int = 0,
 ) -> Injection:
     """Injection of effects into the readings of a recording by the exact model; everything else is unchanged.
 
@@ -95,7 +98,7 @@ def inject(
 
 def injection_curve(
     recording: RecordingSource,
-    cause: str | Tunable | Sized,
+    cause: str | CandidateEffect | SizedEffect,
     *,
     strengths: Sequence[float] = STRENGTHS,
     injections: int = 5,
@@ -137,8 +140,8 @@ def injection_curve(
     return InjectionCurve(_called(cause), reported, tuple(rows))
 
 
-def _called(cause: str | Tunable | Sized) -> str:
-    return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, Sized) else cause.name
+def _called(cause: str | CandidateEffect | SizedEffect) -> str:
+    return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
 def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
@@ -162,7 +165,7 @@ def _key(finding: Any) -> tuple[Any, ...]:
     return finding.effect, tuple(where.stations), tuple(where.targets), tuple(where.observables)
 
 
-def _placed(cause: Tunable, finding: Any) -> bool:
+def _placed(cause: CandidateEffect, finding: Any) -> bool:
     """True if stations and targets agree, or the observables for an effect without a place."""
     where = finding.where
     pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
@@ -184,8 +187,11 @@ def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[s
 
 
 def _sized(
-    injector: Injector, cause: str | Tunable | Sized, noncentrality: float | None, rng: np.random.Generator
-) -> tuple[Tunable, Floats]:
+    injector: Injector,
+    cause: str | CandidateEffect | SizedEffect,
+    noncentrality: float | None,
+    rng: np.random.Generator,
+) -> tuple[CandidateEffect, Floats]:
     """Effect and its values [SI]; if the network absorbs the drawn ones, other places and constants are drawn."""
     for attempt in range(TRIES):
         drawn, values = _drawn(injector, cause, rng)
@@ -199,19 +205,21 @@ def _sized(
     return drawn, values
 
 
-def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Generator) -> tuple[Tunable, Floats]:
+def _drawn(
+    injector: Injector, cause: str | CandidateEffect | SizedEffect, rng: np.random.Generator
+) -> tuple[CandidateEffect, Floats]:
     """Effect with its place, constants and parameter values (q,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
         text, sizes = _split(cause)
         asked = requested_effect(text, injector.recording)
     else:
-        given, sizes = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
+        given, sizes = (cause.effect, dict(cause.parameter_values)) if isinstance(cause, SizedEffect) else (cause, {})
         asked = requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
     effect, sightings = asked.effect, injector.space.sightings
-    candidates: Sequence[Tunable] = [effect]
-    if isinstance(effect, Mistake) and not effect.place:
-        candidates = type(effect).possible(sightings)
-    elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
+    candidates: Sequence[CandidateEffect] = [effect]
+    if isinstance(effect, Blunder) and not effect.place_text:
+        candidates = type(effect).possible_blunders(sightings)
+    elif isinstance(effect, Effect) and not isinstance(effect, Blunder):
         candidates = asked.candidates(injector.space.adjustment)
     if not candidates:
         raise ModelError(f"{effect.name} has no place in this recording")
@@ -235,16 +243,16 @@ def _split(text: str) -> tuple[str, dict[str, float]]:
     return f"{name}:{','.join(words)}" if words else name, sizes
 
 
-def _values(cause: Tunable, sizes: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
+def _values(cause: CandidateEffect, sizes: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
     drawn = np.array([p.prior_sigma for p in cause.parameters]) * rng.standard_normal(len(cause.parameters))
-    positive = [p.positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
+    positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
     drawn = np.where(positive, np.abs(drawn), drawn)
-    if isinstance(cause, Mistake):
+    if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))
     if not sizes:
         return drawn
-    if isinstance(cause, Law):
-        moved = cause.columns(injector.space.sightings) @ drawn.reshape(-1, cause.driver.size).T
-        rms = float(np.sqrt(np.mean(np.sum(moved[cause.mask(injector.space.sightings) > 0] ** 2, axis=1))))
-        return drawn * sizes[SIZE] * cause.parameters[0].factor / rms
-    return np.array([sizes.get(p.name, 0.0) * p.factor for p in cause.parameters])
+    if isinstance(cause, EmpiricalLaw):
+        moved = cause.columns(injector.space.sightings) @ drawn.reshape(-1, cause.regressor.n_columns).T
+        rms = float(np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.space.sightings) > 0] ** 2, axis=1))))
+        return drawn * sizes[SIZE] * cause.parameters[0].si_per_display_unit / rms
+    return np.array([sizes.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

@@ -25,7 +25,7 @@ from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.construction import Construction, ideal_construction
 
 COLLINEAR_RATIO = 1e-3
 """Largest ratio of the distance from a line to the spread along it at which targets do not determine a rotation."""
@@ -76,11 +76,11 @@ class TrialEvaluator:
         """
         recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
-            construction, values = ideal(), np.zeros((len(recording.instruments), 0, trials))
+            construction, values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
         points, clouds = np.empty(deviation.shape), np.zeros((*self.visible.shape, 3, trials))
         points_of(self.truth.program_of(construction), recording.instrument, deviation, values, points)
         station_means(points, recording.station, recording.target, self._means[1], clouds)
-        to_network(clouds, np.ascontiguousarray(self.truth.state.rotation), self.truth.state.position)
+        to_network(clouds, np.ascontiguousarray(self.truth.state.station_rotations), self.truth.state.station_positions)
         return clouds
 
     def criteria(self, clouds: Floats, suffix: str) -> Columns:
@@ -102,7 +102,7 @@ class TrialEvaluator:
 
     def _truth(self, trials: int) -> Floats:
         """True targets (T, 3, B) [m]."""
-        points = self.truth.state.points
+        points = self.truth.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:

@@ -27,7 +27,7 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.incidence import IncidenceErrors
-from ltsim.physics.model.measurement import MeasurementModel, Prediction, State, sightings_of
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_of
@@ -81,7 +81,7 @@ class BatchNetwork:
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
-    state: State
+    state: NetworkState
     construction: Construction
     """Construction whose parameters are estimated."""
     program: ChainProgram
@@ -98,7 +98,7 @@ class BatchNetwork:
         """Forward model, as for a single adjustment."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.shared is not None:
-            vars(model)["nuisances"] = self.shared.network.model.nuisances
+            vars(model)["nuisances"] = self.shared.network.model.nuisance_errors
         return model
 
     @cached_property
@@ -109,15 +109,15 @@ class BatchNetwork:
         return self.shared.network.problem.elsewhere(self.model)
 
     @cached_property
-    def nominal(self) -> State:
+    def nominal(self) -> NetworkState:
         """Nominal state with zero parameters."""
         instruments = len(self.recording.instruments)
-        return State(
-            self.state.position,
-            self.state.rotation,
-            self.state.points,
-            np.zeros((instruments, self.construction.size)),
-            np.zeros(self.model.extra_size),
+        return NetworkState(
+            self.state.station_positions,
+            self.state.station_rotations,
+            self.state.target_points,
+            np.zeros((instruments, self.construction.n_parameters)),
+            np.zeros(self.model.n_extra_parameters),
         )
 
     @cached_property
@@ -154,7 +154,7 @@ class BatchNetwork:
         prediction = (
             self.problem.model.linearised(self.nominal) if self.shared is None else self._prediction(self.shared)
         )
-        system = self.problem.system(self.nominal, replace(prediction, by_extra=self._extra_design))
+        system = self.problem.system(self.nominal, replace(prediction, extra_derivatives=self._extra_design))
         return as_dense(system.design), system.residual
 
     def _prediction(self, shared: SharedQuantities) -> Prediction:
@@ -163,8 +163,8 @@ class BatchNetwork:
         They equal those of `MeasurementModel.linearised`.
         """
         recording, state = self.recording, self.state
-        by_target = shared.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
-        arm = state.points[recording.target] - state.position[recording.station]
+        by_target = shared.by_point @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
+        arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
         return Prediction(recording.readings, by_pose, by_target, shared.by_value, np.zeros((len(recording), 3, 0)))
 
@@ -205,9 +205,9 @@ class BatchNetwork:
     @cached_property
     def _geometry(self) -> tuple[np.ndarray, ...]:
         recording, state = self.recording, self.state
-        arm = state.points[recording.target] - state.position[recording.station]
+        arm = state.target_points[recording.target] - state.station_positions[recording.station]
         places = (recording.instrument, recording.station, recording.target)
-        return (*places, arm, np.ascontiguousarray(state.rotation), self._by_point, 1.0 / self.sigma)
+        return (*places, arm, np.ascontiguousarray(state.station_rotations), self._by_point, 1.0 / self.sigma)
 
     @cached_property
     def _by_point(self) -> Floats:
@@ -222,14 +222,19 @@ class BatchNetwork:
     def _extra_sightings(self) -> Sightings:
         """Sightings on the floor plan, the frame of the full solver for such a network, in which nests are known."""
         state = self.nominal
-        motion = self._frame.plan_motion(state.position, state.rotation)
+        motion = self._frame.plan_motion(state.station_positions, state.station_rotations)
         if motion is not None:
             turn, shift = motion
-            places = {"position": state.position @ turn.T + shift, "points": state.points @ turn.T + shift}
-            state = replace(state, rotation=turn @ state.rotation, **places)
+            places = {
+                "position": state.station_positions @ turn.T + shift,
+                "points": state.target_points @ turn.T + shift,
+            }
+            state = replace(state, station_rotations=turn @ state.station_rotations, **places)
         if self.shared is None:
             return self.model.sightings(state)
-        return self.shared.network._extra_sightings.at(state.position, state.rotation, state.points)
+        return self.shared.network._extra_sightings.at(
+            state.station_positions, state.station_rotations, state.target_points
+        )
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -241,9 +246,11 @@ class BatchNetwork:
     @cached_property
     def _expected_shift(self) -> Floats | None:
         """Expected change (n, 3, 1) of the readings by bench tests of reflectors; None for none."""
-        if not any(isinstance(error, IncidenceErrors) and error.mean.any() for error in self.model.nuisances):
+        if not any(
+            isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
+        ):
             return None
-        return self.model.extra_shift(self._extra_sightings, self.nominal.extra)[:, :, None]
+        return self.model.extra_change(self._extra_sightings, self.nominal.extra_parameters)[:, :, None]
 
     @cached_property
     def sigma(self) -> Floats:
@@ -253,7 +260,7 @@ class BatchNetwork:
     def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), parameters (I, p, B), effects (q, B)."""
         pose, targets, values, _ = self.sizes
-        shape = self.nominal.instrument.shape
+        shape = self.nominal.instrument_parameters.shape
         return (
             x[:pose].reshape(-1, 6, x.shape[1]),
             x[pose:targets].reshape(-1, 3, x.shape[1]),
@@ -282,7 +289,10 @@ class BatchNetwork:
                 break
             before = squared
         _, points, values, extra = self.split(x)
-        effects, reflectors = extra[: self.model.effects_size], self.model.reflectors(extra)
+        effects, reflectors = (
+            extra[: self.model.n_effect_parameters],
+            self.model.incidence_parameters_by_reflector(extra),
+        )
         return BatchFit(points, values, effects, reflectors, cost - squared, remainder)
 
     @property
@@ -358,7 +368,9 @@ class BatchNetwork:
         gauge = self.problem.gauge
         if len(gauge):
             moved = self.split(x)[1]
-            arm = (self.state.points[gauge.first] - self.state.points[gauge.second]).reshape(len(gauge), 3, -1)
+            arm = (self.state.target_points[gauge.first] - self.state.target_points[gauge.second]).reshape(
+                len(gauge), 3, -1
+            )
             change = moved[gauge.first] - moved[gauge.second]
             length = np.sqrt(np.sum(arm**2, axis=1))
             linear = length + np.sum(arm * change, axis=1) / length

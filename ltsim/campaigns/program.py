@@ -46,8 +46,12 @@ class ChainProgram(NamedTuple):
     def of(cls, construction: Construction, raw: Floats) -> Self:
         """Arrays of a construction about raw readings (n, 3); motions that are always zero are omitted."""
         slots = [term.slot for term in construction.terms]
-        fed = {m.slot: [k for k, slot in enumerate(slots) if slot == m.slot] for m in construction.chain if m.slot}
-        motions = [m for m in construction.chain if m.nominal is not None or fed.get(m.slot)]
+        fed = {
+            m.slot: [k for k, slot in enumerate(slots) if slot == m.slot]
+            for m in construction.kinematic_chain
+            if m.slot
+        }
+        motions = [m for m in construction.kinematic_chain if m.nominal is not None or fed.get(m.slot)]
         feeds = [fed.get(m.slot, []) for m in motions]
         slope = _slopes(construction, raw)
         return cls(
@@ -59,7 +63,7 @@ class ChainProgram(NamedTuple):
             first=np.concatenate([[0], np.cumsum([len(f) for f in feeds])]).astype(np.int64),
             fed=np.array([k for f in feeds for k in f], dtype=np.int64),
             varies=np.any(slope != 0, axis=(1, 2)).astype(np.int64),
-            basis=np.ascontiguousarray(construction.bases(raw).T),
+            basis=np.ascontiguousarray(construction.basis_values(raw).T),
             slope=slope,
         )
 
@@ -96,5 +100,5 @@ def _slopes(construction: Construction, raw: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis with respect to the readings."""
     step = DIFFERENCE_STEP * np.eye(3)[:, None, :]
     moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
-    ahead, behind = construction.bases(moved).T.reshape(construction.size, 2, 3, len(raw)).swapaxes(0, 1)
+    ahead, behind = construction.basis_values(moved).T.reshape(construction.n_parameters, 2, 3, len(raw)).swapaxes(0, 1)
     return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * DIFFERENCE_STEP), 1, 2))

@@ -45,8 +45,8 @@ from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import in_unit
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import each_of
-from ltsim.physics.model.construction import construction as construction_called
+from ltsim.physics.effects.verbs import effect_tuple
+from ltsim.physics.model.construction import make_construction as construction_called
 from ltsim.recordings.result_file import ResultFile
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
@@ -231,7 +231,7 @@ def recover(
         checked_command(calibrator)
     elif calibrator is not None:
         jobs = 1
-    named = each_of(with_effects)
+    named = effect_tuple(with_effects)
     example = simulate(scenario, seed=seed).recording if named else None
     extra_effects = tuple(requested_effect(text, example) for text in named if example is not None)
     built = true_construction if construction is None else construction_called(construction)

@@ -22,8 +22,11 @@ FALSE_ALARM = 0.01
 COVERED = 0.95
 MIN_TRIALS = 2
 """Smallest number of trials for a standard deviation."""
-MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
-CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
+MEAN_WITHIN = 0.1
+SPREAD_WITHIN = 0.05
+COVERAGE_WITHIN = 0.015
+CHI2_WITHIN = 0.02
+WHOLE_WITHIN = 0.05
 MAX_RELATIVE_SPREAD = float(np.sqrt(2.0))
 """Largest ratio of the standard deviation of a mean square to its mean, reached if all averaged values are equal."""
 

@@ -131,7 +131,7 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: RecoverySettings) 
     work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
     recording, truth = measure(work, seed, index)
     law = instrument_law(work.scenario, work.construction)
-    names = work.construction.names_of(tuple(work.scenario.trackers))
+    names = work.construction.instrument_parameter_names(tuple(work.scenario.trackers))
     laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
     reference = None
     try:

@@ -55,7 +55,7 @@ class ShardTask:
     shard: int
     judge: Scenario | None = None
     """Scenario of `judge_in`, in which methods are evaluated; None without one."""
-    effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.of_session)
+    effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
     """Effect classes that were registered in this session, which a worker does not have."""
     held: pa.Table | None = None
     """Existing rows of the shard, if it lacks trials or statistics."""
@@ -283,7 +283,7 @@ class TrialBlock:
             return {}
         there, block, before = self.new_points
         nowhere = np.full(
-            (*there.truth.state.points.shape, len(calibrated.chi2)), np.nan
+            (*there.truth.state.target_points.shape, len(calibrated.chi2)), np.nan
         )  # no target is adjusted there
         after = there.after(block, replace(calibrated, points=nowhere), calibrator.construction, calibrator.effects)
         return {f"new_point_{name}": values for name, values in (before | after).items() if name.startswith("error_")}

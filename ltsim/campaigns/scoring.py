@@ -44,7 +44,8 @@ MIN_NOISE_SHARE = 1e-4
 """Fraction of a declared variance below which the error comes from the prior and not from noise."""
 MAX_LINE_LENGTH = 300
 """Largest number of characters of an external program's last line in a message."""
-RECORDING, OUT = "{recording}", "{out}"
+RECORDING = "{recording}"
+OUT = "{out}"
 
 
 class ParameterEstimate(NamedTuple):
@@ -177,7 +178,7 @@ def true_values(truth: Truth) -> dict[str, TrueValue]:
     """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
     values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
     for applied in truth.applied:
-        place = f" {applied.effect.place}" if applied.effect.place else ""
+        place = f" {applied.effect.place_text}" if applied.effect.place_text else ""
         for parameter, value in zip(applied.effect.parameters, applied.values, strict=True):
             values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueValue(float(value), parameter.unit)
     return values
@@ -217,7 +218,10 @@ class ExpectedTruth:
         if adjustment is None or calibration.method != "network":
             return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
-        reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
+        reflectors = [
+            np.linalg.solve(e.covariance_root, _reflector_error(truth) - e.mean_parameters)
+            for e in model.incidence_errors
+        ]
         more = np.concatenate([np.zeros(0), *reflectors])
         columns = np.concatenate([unknowns.instrument.ravel(), *(unknowns.extra[at] for at in model.incidence_columns)])
         free = np.concatenate([~calibration.held.ravel(), np.ones(len(more), dtype=bool)])
@@ -239,10 +243,10 @@ class ExpectedTruth:
 
 def _reflector_error(truth: Truth) -> Floats:
     """True parameters (p,) [SI] of the reflectors' incidence error."""
-    total = SmrIncidence().values_of_table
+    total = SmrIncidence().parameters_from_table
     for applied in truth.applied:
-        if isinstance(applied.effect, SmrIncidence) and not applied.effect.place:
-            total = total + applied.effect.values_of_table + applied.values
+        if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
+            total = total + applied.effect.parameters_from_table + applied.values
     return total
 
 
@@ -318,7 +322,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
         return float("nan"), float("nan")
     # The truth moved to where the first station is held.
     held, origin = adjustment.state, truth.position[0]
-    turn = truth.rotation[0] @ held.rotation[0].T
+    turn = truth.rotation[0] @ held.station_rotations[0].T
     unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.size)
     bias, less = size.copy(), size.copy()
     if not expected.is_prior:
@@ -326,12 +330,12 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
         pick[expected.columns, np.arange(len(expected.mean))] = 1.0 / expected.units
         missed = adjustment.factor.covariance_columns(pick)
         bias, less = -missed @ expected.mean, missed**2 @ expected.missing_variance
-    points = (truth.points - origin) @ turn + held.position[0]
+    points = (truth.points - origin) @ turn + held.station_positions[0]
     variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target]
     targets = float(np.mean((calibration.points - points - bias[unknowns.target]) ** 2 / variance))
     squares = []
     for i, station in enumerate(calibration.stations[1:], start=1):
-        there, at = (truth.position[i] - origin) @ turn + held.position[0], unknowns.pose[i]
+        there, at = (truth.position[i] - origin) @ turn + held.station_positions[0], unknowns.pose[i]
         rotation = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
         error = np.concatenate([station.position - there, rotation.as_rotvec()]) - bias[at]
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])

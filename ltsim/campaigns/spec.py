@@ -22,7 +22,8 @@ from ltsim.simulation.scenario import REMOVED, Scenario, changed, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 
 FORMAT = "ltsim-campaign/1"
-MAX_CELLS, MAX_SHARDS = 4096, 500_000
+MAX_CELLS = 4096
+MAX_SHARDS = 500_000
 JUDGE = "judge"
 """Key of the random draws at the place of `judge_in`."""
 

@@ -31,7 +31,11 @@ from ltsim.core.errors import RecordError, SetupError
 from ltsim.core.storage import place_in, settle, write_files
 from ltsim.recordings.result_file import read_result
 
-MANIFEST, SOURCE, ROWS, LOCK, DIGESTS = ManifestFile.FILE, "campaign.toml", "rows", ".lock", "rows.sha256"
+MANIFEST = ManifestFile.FILE
+SOURCE = "campaign.toml"
+ROWS = "rows"
+LOCK = ".lock"
+DIGESTS = "rows.sha256"
 DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
 """Pattern of a complete line in the file of digests."""
 

@@ -22,7 +22,7 @@ from ltsim.geometry.polar import wrap
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
 from ltsim.scene.sightings import Sightings
@@ -67,7 +67,7 @@ class CellTruth:
 
     recording: Recording
     """Recording with nominal readings: those of an ideal tracker at `state`."""
-    state: State
+    state: NetworkState
     """True poses and targets in the start frame of a calibrator, that of the first station."""
     population: TrialDraws
     """Distributions of the random values of a trial; its sightings may be in another frame."""
@@ -135,7 +135,7 @@ class CellTruth:
 
     def _laid_out(self, construction: Construction) -> tuple[ChainProgram, Floats]:
         nominal = self.recording.readings
-        by_value = construction.reading_design(nominal, np.zeros(construction.size))[1]
+        by_value = construction.reading_design(nominal, np.zeros(construction.n_parameters))[1]
         return ChainProgram.of(construction, nominal), by_value
 
     def program_of(self, construction: Construction) -> ChainProgram:
@@ -148,12 +148,12 @@ class CellTruth:
         return [self._linear(entry) for entry in self.effects]
 
     def _linear(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
-        constant = entry.effect.shift(self.sightings, entry.mean)
+        constant = entry.effect.reading_change(self.sightings, entry.mean)
         if not np.any(entry.sigma):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(entry.mean)))
         design = entry.effect.design(self.sightings)
         probe = entry.mean + 3 * entry.sigma
-        miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
+        miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.sigma)
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
     def draw(self, seed: int, number: int, width: int = BLOCK) -> TrialBatch:
@@ -209,7 +209,7 @@ class CellTruth:
         """Change (n, 3, B) of the readings by one effect."""
         entry, linear = self.effects[place], self._linear_effects[place]
         if linear is None:
-            return np.stack([entry.effect.shift(self.sightings, v) for v in amounts.T], axis=2)
+            return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
         constant, design = linear
         return constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
 
@@ -271,10 +271,10 @@ def truth_of(
     )
 
 
-def _start_frame(work: Fieldwork, mean: Floats) -> State:
+def _start_frame(work: Fieldwork, mean: Floats) -> NetworkState:
     """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
     s = work.sightings
     if any(station.levelled for station in work.scenario.stations.values()):
-        return State(s.position, s.rotation, s.points, mean)
+        return NetworkState(s.position, s.rotation, s.points, mean)
     origin, turn = s.position[0], s.rotation[0]
-    return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
+    return NetworkState((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)

@@ -188,7 +188,9 @@ def _refuse(folder: Path, taken: list[str]) -> None:
     )
 
 
-FILE, RECORDING, EMPTY = OutputPlace(check_file), OutputPlace(check_recording), OutputPlace(check_empty)
+FILE = OutputPlace(check_file)
+RECORDING = OutputPlace(check_recording)
+EMPTY = OutputPlace(check_empty)
 FOLDER = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
 """Output folder whose command checks the files that it replaces."""
 ANYWHERE = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))

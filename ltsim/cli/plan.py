@@ -48,7 +48,9 @@ Without = Annotated[
     ),
 ]
 SO_FAR = "best-so-far.toml"
-FLOOR, TRADE_OFF, PAGE = "floor.png", "tradeoff.png", "work-order.html"
+FLOOR = "floor.png"
+TRADE_OFF = "tradeoff.png"
+PAGE = "work-order.html"
 
 
 def plan(

@@ -26,7 +26,7 @@ from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
 from ltsim.geometry.rigid import without_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
-from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 WORSE, HARM = 0.05, 0.03
@@ -49,7 +49,7 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
     space, linear = searcher.space, first_order_change(searcher, searcher.with_members(refitted))
-    points, change = fitted.adjustment.state.points + space.moved_targets(linear), -linear
+    points, change = fitted.adjustment.state.target_points + space.moved_targets(linear), -linear
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(model, i)
@@ -74,7 +74,7 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
 
     Explanations deviate by (k, T, 3) [m].
     """
-    problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
+    problem, points = adjusted.problem, np.nan_to_num(adjusted.state.target_points)
     shift = without_rigid_motion(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
     along[problem.unknowns.target.ravel()] = shift
@@ -129,7 +129,9 @@ def _is_noise(hypothesis: Hypothesis) -> bool:
 def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
     """Instances of an explanation at its most probable shapes, with their probabilities."""
     shapes = (
-        [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
+        []
+        if isinstance(chosen.effect, EmpiricalLaw)
+        else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
     )
     if not shapes:
         return [(chosen, 1.0)]

@@ -96,7 +96,7 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
 def distortion(space: ResidualSpace, shift: Floats) -> float:
     """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
     moved = space.moved_targets(shift).ravel()
-    points = space.adjustment.state.points
+    points = space.adjustment.state.target_points
     motion = rigid_motion(points, points.mean(axis=0))
     rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
     return float(1e6 * np.sqrt(3 * np.mean(rest**2)))

@@ -35,9 +35,9 @@ from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.physics.effects.noise_level import NoiseLevel
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.responses import VARIED, constants_in
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.responses import VARIED_CONSTANTS, constants_of_slot
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -128,10 +128,10 @@ def diagnose(
     return _report(source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 
-def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
+def _varies(constant: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if an effect varies this constant of an instrument, which then has no single value."""
-    laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
-    drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
+    laws = (VARIED_CONSTANTS.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
+    drifts = (constants_of_slot(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
     return any(constant in varied for varied in (*laws, *drifts, *parameters))
 

@@ -140,7 +140,7 @@ class Diagnosis(ResultFile):
     def _coordinates(self) -> Table:
         """Table of the targets, with the change of each coordinate against the ordinary adjustment."""
         sigma = np.sqrt(np.einsum("tii->ti", self.targets.covariance))
-        change = self.targets.points - self.baseline.state.points
+        change = self.targets.points - self.baseline.state.target_points
         rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
         named = zip(self.adjusted.recording.targets, rows, strict=True)
         return TARGETS.filled([name, *row] for name, row in named)
@@ -172,7 +172,7 @@ class Diagnosis(ResultFile):
         """
         adjusted, state = self.adjusted, self.adjusted.state
         model = adjusted.problem.model
-        change = model.effects_shift(model.sightings(state), state.extra) + self.arrays.averaging_change
+        change = model.effects_change(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
         change = np.where(adjusted.rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap(corrected[:, 1:])
@@ -184,12 +184,12 @@ class Diagnosis(ResultFile):
         A length that the diagnosis rejects changes by its difference from the adjusted distance.
         """
         problem, state = self.adjusted.problem, self.adjusted.state
-        none = replace(state, extra=np.zeros_like(state.extra))
+        none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
         shifts = problem.length_residuals(none) - problem.length_residuals(state)
         gauge = problem.gauge
         used = dict(zip(zip(gauge.first.tolist(), gauge.second.tolist(), strict=True), shifts.tolist(), strict=True))
         lengths = ReferenceLengths.of(recording)
-        arm = state.points[lengths.second] - state.points[lengths.first]
+        arm = state.target_points[lengths.second] - state.target_points[lengths.first]
         differences = lengths.length - np.sqrt((arm**2).sum(axis=1))
         ends = zip(lengths.first.tolist(), lengths.second.tolist(), strict=True)
         return np.array([used.get(pair, gap) for pair, gap in zip(ends, differences.tolist(), strict=True)])
@@ -201,4 +201,6 @@ class Diagnosis(ResultFile):
     @property
     def coefficients(self) -> int:
         """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings."""
-        return self.adjusted.problem.model.effects_size or sum(len(finding.parameters) for finding in self.findings)
+        return self.adjusted.problem.model.n_effect_parameters or sum(
+            len(finding.parameters) for finding in self.findings
+        )

@@ -22,7 +22,7 @@ from scipy.special import log_ndtr
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_evidence, log_sum_exp
 from ltsim.core.arrays import Bools, Floats, Ints, Singles
-from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.recordings.recording import OBSERVABLES
 
 TIE, SCREENED_TIE = 1e-6, 1e-4
@@ -157,14 +157,14 @@ def sign_weight(mean: float, sigma: float) -> float:
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
 
 
-def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
+def evidence_of(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
-    spread = effect.spread
-    if not any(p.positive for p in effect.parameters):
+    spread = effect.size_scales
+    if not any(p.is_positive for p in effect.parameters):
         return float(evidence_with(gram, score, spread))
     mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-        total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
+        total += sign_weight(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
     return total
 
 

@@ -15,10 +15,10 @@ from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.prior import FORMS, P_PER_SETUP, P_PIECEWISE, P_SWITCHED
 from ltsim.diagnosis.schema import Curve
 from ltsim.physics.laws.columns import fourier_columns
-from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.regressor_library import waves
-from ltsim.physics.laws.regressors import simple
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.names import catalogue_name
+from ltsim.physics.laws.regressor_library import wave_regressors
+from ltsim.physics.laws.regressors import scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 LEAST_SWITCHED = {True: 1, False: 2}
@@ -32,19 +32,19 @@ increased.
 
 
 def evaluate_forms(
-    exact: EvidenceCalculator, law: Law, log_prior: float, base: Model, *, pieces: bool
+    exact: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, base: Model, *, pieces: bool
 ) -> list[Hypothesis]:
     """Evidence of a law in all its forms: the best form of each name, with the total evidence of that name."""
     sightings = exact.space.sightings
-    law = law.as_constant(sightings)
-    whole = log_prior + float(np.log(len(law.driver.spreads)))
+    law = law.equivalent_index_law(sightings)
+    whole = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
-    always, share = law.at_all_times(), float(np.log(P_SWITCHED * _courses(law, sightings)))
+    always, share = law.without_switch(), float(np.log(P_SWITCHED * _courses(law, sightings)))
     switched = _switched(exact, always, whole + share, base) if pieces else []
     whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
     tried += switched
-    each = law.at_each(sightings)
+    each = law.per_setup(sightings)
     tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
     tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
     tried += _forms(exact, always, whole, base) if always != law else []
@@ -56,9 +56,9 @@ def evaluate_forms(
     return best
 
 
-def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
+def _forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
     """Functional forms of a law at its place."""
-    forms = law.forms(exact.space.sightings)
+    forms = law.candidate_forms(exact.space.sightings)
     whole = sum(FORMS[kind] for kind in forms)
     shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(sets))) for kind, sets in forms.items()}
     asked = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
@@ -67,21 +67,21 @@ def _forms(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> li
     candidates = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
     moments = exact.moments([scales[0] for _, scales in several], base)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
-        spreads = np.stack([scaled.spread for scaled in scales])
+        spreads = np.stack([scaled.size_scales for scaled in scales])
         logs = evidence_with(gram, score[None], spreads)
         candidates.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
-    return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in candidates]
+    return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
-def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
+def _in_pieces(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
     """Forms of a law with a few steps and ramps, by forward selection while the evidence increases."""
-    atoms = law.atoms(exact.space.sightings)
+    atoms = law.candidate_pieces(exact.space.sightings)
     if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
-    whole = law.in_pieces(atoms)
+    whole = law.with_pieces(atoms)
     gram, score = exact.moments([whole], base)[0]
-    spread = whole.spread
-    places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
+    spread = whole.size_scales
+    places = np.arange(len(score)).reshape(len(whole.response.component_names), len(atoms), -1)
     chosen: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
     while len(chosen) < min(taken + EARLY_STOP, MOST_PIECES, len(atoms)):
@@ -93,9 +93,9 @@ def _in_pieces(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -
         value = float(log_sum_exp(values)) - len(chosen) * price
         if value > best + TIE:
             best, taken = value, len(chosen)
-    refined, value = exact.refine_locally([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
+    refined, value = exact.refine_locally([law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
-    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
+    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
 
 
 def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
@@ -104,29 +104,31 @@ def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
     return any(stay.min() < time < stay.max() for stay in stays)
 
 
-def _courses(law: Law, sightings: Sightings) -> int:
+def _courses(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
     return (
-        sum(wave.covariates == law.driver.covariates for wave in waves(sightings)) if law.driver.kind == "wave" else 1
+        sum(wave.covariates == law.regressor.covariates for wave in wave_regressors(sightings))
+        if law.regressor.kind == "wave"
+        else 1
     )
 
 
-def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) -> list[Hypothesis]:
+def _switched(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
     """Forms of a law that is switched on and off with a constant amount.
 
     Intervals are toggled while the evidence increases.
     """
     sightings = exact.space.sightings
-    edges = law.edges(sightings)
+    edges = law.candidate_switch_times(sightings)
     if len(edges) < EARLY_STOP or len(law.targets) == 1:
         return []
-    if law.is_in_the_hall:  # where it stands is refined before when
+    if law.depends_on_fixed_region:  # where it stands is refined before when
         law = exact.refine_locally([law], base)[0][0]
-    ways, count = len(law.carrier.ways), len(edges)
-    gram, score = exact.moments([law.in_pieces(edges)], base)[0]
+    ways, count = len(law.response.component_names), len(edges)
+    gram, score = exact.moments([law.with_pieces(edges)], base)[0]
     after = sightings.time[:, None] > [edge.constant for edge in edges]
     sizes = np.sqrt(after.mean(axis=0))  # columns of steps have an rms of one
-    squares = law.columns(sightings) ** 2 if law.is_in_the_hall else np.ones((len(after), 1))
+    squares = law.columns(sightings) ** 2 if law.depends_on_fixed_region else np.ones((len(after), 1))
     beyond = (squares * after).mean(axis=0)
     gram = gram.reshape(ways, count, ways, count) * np.outer(sizes, sizes)[:, None, :]
     score = score.reshape(ways, count) * sizes
@@ -134,7 +136,7 @@ def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) ->
     first, last = np.triu_indices(count + 1, 1)
     span = np.arange(count + 1)
     intervals = (span > first[:, None]) & (span <= last[:, None])
-    spread = np.full((len(intervals), ways), law.carrier.size)
+    spread = np.full((len(intervals), ways), law.response.plausible_size)
     on, states, best, taken, price = intervals[0], [np.zeros(count + 1, dtype=bool)], -np.inf, 0, np.log(len(intervals))
     while len(states) - 1 < min(taken + EARLY_STOP, MOST_PIECES):
         tried = states[-1] ^ intervals
@@ -147,40 +149,40 @@ def _switched(exact: EvidenceCalculator, law: Law, prior: float, base: Model) ->
         if value > best + TIE:
             on, best, taken = states[-1], value, len(states) - 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    if law.is_in_the_hall and on[0]:
-        chosen.insert(0, simple("time", "step", -np.inf))
-    least = LEAST_SWITCHED[law.is_in_the_hall]
+    if law.depends_on_fixed_region and on[0]:
+        chosen.insert(0, scalar_regressor("time", "step", -np.inf))
+    least = LEAST_SWITCHED[law.depends_on_fixed_region]
     if sum(_is_within_a_set_up(edge.constant, sightings) for edge in chosen) < least:
         return []
-    refined, value = exact.refine_locally([law.switched(chosen)], base)[0]
+    refined, value = exact.refine_locally([law.with_switch(chosen)], base)[0]
     prior -= float(taken * price)
-    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, name_of(refined))]
+    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
 
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
 """Number of points of a reported curve, of each cycle of a wave, and largest number of points."""
 
 
-def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
+def curve_of(law: EmpiricalLaw, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
     """Curve at the set-up and in the direction of the largest response; None with several covariates.
 
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
     """
-    driver = law.driver
+    driver = law.regressor
     if len(driver.covariates) != 1 or driver.kind in ("amounts", "passage"):
         return None
-    law, way, means, spread = law.along(mean, covariance, sightings)
+    law, way, means, spread = law.at_largest_effect(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
-    x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
+    x = sightings.quantities[driver.covariates[0]][law.row_weights(sightings) > 0]
     if driver.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
-        columns = fourier_columns(driver.constant * at, driver.size // 2)
+        columns = fourier_columns(driver.constant * at, driver.n_columns // 2)
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
-        at, columns = x[chosen], law.columns(sightings)[law.mask(sightings) > 0][chosen]
-    unit, factor = law.carrier.display(int(np.argmax(np.abs(way))))
+        at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
+    unit, factor = law.response.display_unit_of(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean
     return Curve(

@@ -16,7 +16,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import best_of
 from ltsim.diagnosis.prior import LOG_ODDS_REPEATED, P_UNMODELLED
 from ltsim.physics.effects import find_effect
-from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.signature import CandidateEffect
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Hypothesis:
         Id of the catalogue effect, or `unknown`.
     """
 
-    effect: Tunable
+    effect: CandidateEffect
     log_prior: float
     value: float
     name: str
@@ -41,7 +41,7 @@ class Hypothesis:
     @property
     def spread(self) -> Floats:
         """Plausible sizes (k,) of its coefficients [SI]."""
-        return self.effect.spread
+        return self.effect.size_scales
 
     @property
     def is_catalogued(self) -> bool:
@@ -75,7 +75,7 @@ class Model:
     baseline_residual: Floats = field(repr=False)
 
     @property
-    def effects(self) -> list[Tunable]:
+    def effects(self) -> list[CandidateEffect]:
         """Effects of the members."""
         return [h.effect for h in self.members]
 
@@ -242,4 +242,4 @@ def log_odds_repeated(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> f
     """Log prior odds of a repeated effect of a kind that rarely occurs twice; 0 for all others."""
     if hypothesis.name not in {h.name for h in others}:
         return 0.0
-    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).plural else LOG_ODDS_REPEATED
+    return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_ODDS_REPEATED

@@ -52,7 +52,7 @@ def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
 
 def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
-    values = adjustment.state.instrument[instrument]
+    values = adjustment.state.instrument_parameters[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
     return InstrumentEntry(
@@ -158,7 +158,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
     likelihood = likelihood_information(
-        adjustment.state.instrument.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
+        adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
     )
     surprise, odds = (
         likelihood.information_vector - likelihood.information @ expected.mean,
@@ -303,5 +303,5 @@ class HistoryExpectation:
         """Name of the reference that a constant is compared with."""
         if self.earlier.count == 1:
             return "its calibration"
-        spread = self.earlier.spread[self.earlier.parameters.index(parameter.name)] / parameter.factor
+        spread = self.earlier.spread[self.earlier.parameters.index(parameter.name)] / parameter.si_per_display_unit
         return f"its history ({self.earlier.count} calibrations, spread {spread:.2g} {parameter.unit})"

@@ -19,9 +19,9 @@ from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.physics.laws.places import Place
+from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
-from ltsim.physics.laws.responses import ResponseTerm
+from ltsim.physics.laws.responses import Response
 
 CHUNK = 1000
 """Number of pointings whose products are in memory at a time."""
@@ -37,9 +37,9 @@ MOST_HITS = 6
 class ScreenedLaw:
     """Screened law with its log evidence including the prior."""
 
-    carrier: ResponseTerm
+    carrier: Response
     driver: Regressor
-    place: Place
+    place: LawPlace
     value: float
     log_prior: float
 
@@ -63,7 +63,7 @@ class RowPartition:
     members: sp.csr_array
 
     @classmethod
-    def of(cls, places: Sequence[Place], count: int) -> RowPartition:
+    def of(cls, places: Sequence[LawPlace], count: int) -> RowPartition:
         """Partition of `count` pointings by the places that they belong to."""
         inside = np.zeros((len(places), count), dtype=bool)
         for here, place in zip(inside, places, strict=True):
@@ -101,9 +101,9 @@ class LawBatch:
         Of each hypothesis and scale at a place.
     """
 
-    carriers: tuple[ResponseTerm, ...]
+    carriers: tuple[Response, ...]
     drivers: tuple[Regressor, ...]
-    places: tuple[Place, ...]
+    places: tuple[LawPlace, ...]
     cells: RowPartition
     weights: Singles
     columns: Singles
@@ -114,7 +114,9 @@ class LawBatch:
     def _spreads(self) -> list[Floats]:
         """Prior standard deviations (D, c k) for each scale."""
         ways = self.weights.shape[3]
-        return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
+        return [
+            np.tile(np.stack(sets), ways) for sets in zip(*(d.coefficient_sigmas for d in self.drivers), strict=True)
+        ]
 
     def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""

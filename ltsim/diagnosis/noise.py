@@ -35,8 +35,8 @@ from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
-from ltsim.physics.laws.places import trackers_of
-from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction
+from ltsim.physics.laws.places import instrument_places
+from ltsim.physics.laws.variance import REPEATS_PER_FACE, REPETITION_KINDS, VarianceFunction
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
@@ -77,7 +77,7 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     effects = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     hypotheses = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in effects for values in sizes]
-    for family, pattern, sizes in variance_functions(sightings, trackers_of(sightings, instruments)):
+    for family, pattern, sizes in variance_functions(sightings, instrument_places(sightings, instruments)):
         hypotheses += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return hypotheses
 
@@ -114,7 +114,7 @@ class NoiseBank:
 
         Without `quieter` noise is never less than declared: errors that repeat make the differences of repeats small.
         """
-        repeated = [repeat_means(space, faces) for faces in REPEATS]
+        repeated = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeated))
         used, variance = space.use, space.sigma**2
         parts: list[tuple[Ints, Floats]] = []
@@ -127,10 +127,10 @@ class NoiseBank:
                 factor = 1.0 + h.values[0] * added[h.effect]
             else:
                 factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
-            if faces := getattr(h.effect, "repeating", ""):
+            if faces := getattr(h.effect, "repetition", ""):
                 grown = [
                     _variance_of_mean(m, factor if kind == faces else np.ones(0))
-                    for kind, m in zip(REPEATS, repeated, strict=True)
+                    for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
                 ]
                 factor = np.concatenate([np.ones(space.size), *grown])
             rows = np.flatnonzero(factor != 1.0)
@@ -222,13 +222,13 @@ class NoiseBank:
         return sorted(entries, key=lambda entry: -entry[0])
 
 
-def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
+def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
     """Matrix (g, m) that adds readings of one kind, target, station and optionally face.
 
     The sums are divided by the square root of their number of terms.
     """
     s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH_FACE))
+    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
     key = (3 * pair[:, None] + np.arange(3))[space.use]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
@@ -258,7 +258,7 @@ def reml_gain(
     Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3); residuals
     (m,) are whitened by those of the space.
     """
-    faces, used, scale = getattr(effect, "repeating", ""), space.use, effect.spread
+    faces, used, scale = getattr(effect, "repetition", ""), space.use, effect.size_scales
     means = repeat_means(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else _share_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
@@ -305,11 +305,11 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     of a variance is skew. The posteriors are independent (`reml_gain`); a size without readings is 0 with an infinite
     standard deviation.
     """
-    effect, scale = hypothesis.effect, hypothesis.effect.spread
+    effect, scale = hypothesis.effect, hypothesis.effect.size_scales
     gained = reml_gain(space, nominal, effect, space.residual, space.redundancy)
-    if getattr(effect, "each", "") == "reading":
+    if getattr(effect, "group_kind", "") == "reading":
         return _tail(hypothesis, gained)
-    least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
+    least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
     for _ in range(ZOOMS):
         points = np.linspace(low, high, GRID)
@@ -323,7 +323,7 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
     gain = gained(values) - gained(0.0 * scale)
-    if getattr(effect, "each", ""):  # most groups have none: weighted by the probability that there is one
+    if getattr(effect, "group_kind", ""):  # most groups have none: weighted by the probability that there is one
         values = values * expit(gain + np.log(NOISY_GROUP_SHARE.min() / (1.0 - NOISY_GROUP_SHARE.min())))
         gain = gained(values) - gained(0.0 * scale)
     drop = 2.0 * float(gain.sum())

@@ -14,7 +14,7 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import restricted
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
-from ltsim.physics.laws.variance import VarianceFunction, owners_of
+from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
 FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
@@ -88,14 +88,18 @@ class NoiseByGroup(Amounts):
         """Hypotheses by target and by station, common to all observables and separate for each."""
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
-            names, of = owners_of(space.sightings, each)
+            names, of = noise_groups(space.sightings, each)
             if len(names) < MIN_GROUPS:
                 continue
             key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
             rows = key[space.use]
             shape = len(names) * (kinds if per_observable else 1), space.size
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
-            banks.append(cls(VarianceFunction(each=each, owners=names, per_observable=per_observable), members, COARSE))
+            banks.append(
+                cls(
+                    VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable), members, COARSE
+                )
+            )
         if MIN_READINGS <= space.size <= MOST_READINGS:
             banks += [cls._of_readings(space, acts) for acts in SCATTERING]
         return tuple(banks)
@@ -107,15 +111,15 @@ class NoiseByGroup(Amounts):
         column = np.array([acts.index(o) if o in acts else -1 for o in OBSERVABLES])[kind]
         places = np.flatnonzero(column >= 0)
         rows = pointing[places] * len(acts) + column[places]
-        names, _ = owners_of(space.sightings, "reading")
+        names, _ = noise_groups(space.sightings, "reading")
         members = sp.csr_array((np.ones(len(rows)), (rows, places)), (len(names) * len(acts), space.size))
-        effect = VarianceFunction(acts, each="reading", owners=names, per_observable=True)
+        effect = VarianceFunction(acts, group_kind="reading", group_names=names, per_observable=True)
         return cls(effect, members, MUCH_WORSE)
 
     @property
     def name(self) -> str:
         """Name of the family."""
-        return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
+        return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence, averaged over the share of noisy groups."""

@@ -17,7 +17,8 @@ SOUND_FIT_M = 1e-4
 """Mean distance [m] after a least-squares alignment up to which no point is an outlier that matters
 for start values.
 """
-MAX_POINTS_FOR_ALL_TRIPLES, MAX_TRIPLES = 6, 30
+MAX_POINTS_FOR_ALL_TRIPLES = 6
+MAX_TRIPLES = 30
 """Number of points up to which every triple is tried, and number of triples for more points. Of 30 triples at least one
 has no outlier with 98 % probability if half of the points are outliers, and with 99.999 % if a third are.
 """

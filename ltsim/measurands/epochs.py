@@ -147,7 +147,7 @@ class _Epoch:
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
         names = [adjustment.recording.targets[i] for i in at]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
-        return cls(names, adjustment.state.points[at], covariance, np.hstack(given), adjustment.problem.free)
+        return cls(names, adjustment.state.target_points[at], covariance, np.hstack(given), adjustment.problem.free)
 
     @classmethod
     def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:

@@ -17,12 +17,12 @@ from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.units import MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.measurands.spec import Tasks, TypeB
-from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.physics.effects.air_gradient import AirGradient
-from ltsim.physics.effects.effect import Effect, NoiseEffect, by_displacement
+from ltsim.physics.effects.effect import Effect, NoiseEffect, design_from_displacements
 from ltsim.physics.effects.station_weather import StationWeather
-from ltsim.physics.effects.verbs import effect_from
-from ltsim.physics.model.construction import declared_construction, ideal
+from ltsim.physics.effects.verbs import make_effect
+from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings.air import Air
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -32,7 +32,9 @@ SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqr
 """Standard deviation of each distribution of unit size; the size of a normal distribution is its standard deviation."""
 
 
-LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "specification"
+LENGTHS = "known lengths"
+CONTROL = "control points"
+PRIORS = "specification"
 """Names of groups of observations; the last one is the prior of the instrument's constants."""
 STREAM_KEYS = {PRIORS: "what the maker guarantees"}
 """Keys of random streams that differ from the name of their source; the draws of a seed depend on them."""
@@ -85,7 +87,7 @@ class Inputs(ValueEquality):
         Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or SetupError for an unknown
         target or effect.
         """
-        construction = declared_construction(recording) if tasks.calibrate else ideal()
+        construction = declared_construction(recording) if tasks.calibrate else ideal_construction()
         adjustment = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
         adjustment.solution.require_success()
         names = _used(tasks)
@@ -102,9 +104,9 @@ class Inputs(ValueEquality):
         air = _air_of(tasks, adjustment)
         counted = counted_air(adjustment, air)
         further += air_sources(adjustment, reach, counted) if counted else []
-        words = air_words(counted, longest_sight(adjustment)) if counted else ""
+        words = air_uncertainty_text(counted, longest_sight(adjustment)) if counted else ""
         hidden = common_responses(adjustment, reach, air)
-        return cls(adjustment, names, adjustment.state.points[at], reach, (*observed, *further), words, hidden)
+        return cls(adjustment, names, adjustment.state.target_points[at], reach, (*observed, *further), words, hidden)
 
     @classmethod
     def listed(cls, coordinates: Coordinates, tasks: Tasks) -> Self:
@@ -172,11 +174,11 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
 def _sources_of_certificates(adjustment: Adjustment, reach: Floats) -> list[Source]:
     """Sources of nuisance errors with a prior, by kind; `reach` begins with the rows of the additional effects."""
     model = adjustment.problem.model
-    finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
+    finite = np.isfinite(adjustment.problem.extra_sigma[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
-    for error in model.nuisances:
+    for error in model.nuisance_errors:
         count = len(error.parameters)
-        reached.setdefault(error.parameters[0].meaning, []).append(reach[at : at + count].T)
+        reached.setdefault(error.parameters[0].description, []).append(reach[at : at + count].T)
         at += count
     return [Source(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
 
@@ -193,7 +195,9 @@ def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     for name, reflector in adjustment.recording.setup.reflectors.items():
         off = normal * ((names == name) * (reflector.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
         if np.any(off):
-            change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
+            change = (
+                design_from_displacements(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
+            )
             sources.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
     return sources
 
@@ -232,7 +236,7 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
         mine = np.flatnonzero(group == g)
         response[:, g] = reach[mine].T @ whitened[mine]
     gauge = problem.gauge
-    lengths = effect.gauge_design(gauge.first, gauge.second, adjustment.state.points) * sigma
+    lengths = effect.gauge_design(gauge.first, gauge.second, adjustment.state.target_points) * sigma
     if np.any(lengths):
         if entry.shared != "all":
             raise SetupError(f'type_b.{number}.shared: {entry.effect} acts on known lengths, expected shared = "all"')
@@ -247,7 +251,7 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
 def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
     """Effect of an entry, and the sizes (p,) [SI] of its parameters."""
     try:
-        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+        effect = make_effect(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
     except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
@@ -265,7 +269,7 @@ def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Fl
         raise SetupError(f"type_b.{number}.sizes: {unknown_name('parameter', wrong[0], names)}")
     if not entry.sizes:
         return effect, np.array([p.prior_sigma for p in effect.parameters])
-    return effect, np.array([entry.sizes.get(p.name, 0.0) * p.factor for p in effect.parameters])
+    return effect, np.array([entry.sizes.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
 
 
 def _shares(recording: Recording, shared: str) -> Ints:

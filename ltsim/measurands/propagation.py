@@ -127,7 +127,7 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
         )
         shift = (noise @ inputs.reach[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])
-        exact = np.concatenate([m.values(again.state.points[at]) for m in measurands])
+        exact = np.concatenate([m.values(again.state.target_points[at]) for m in measurands])
         worst = np.maximum(worst, np.abs(exact - linear))
     return worst
 
@@ -139,7 +139,8 @@ TOLERANCE_RATIO = 5.0
 """Ratio of the tolerance to the numerical error of results that are compared with it (clause 8.2)."""
 MAX_NON_NORMAL_SHARE = 1e-9
 """Fraction of a variance below which non-normal variates are neglected in a sum."""
-STEP, STEPS = 0.05, 40_000
+STEP = 0.05
+STEPS = 40_000
 """Step per standard deviation, and number of steps, of the integral over the characteristic function."""
 CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),

@@ -11,8 +11,8 @@ from ltsim.measurands.epochs import compare as compared, compare_coordinates
 from ltsim.measurands.evaluation import evaluate_listed_tasks, evaluate_tasks
 from ltsim.measurands.spec import FORMAT, Tasks, load_tasks, tasks_from
 from ltsim.measurands.uncertainty import Uncertainty
-from ltsim.physics.effects.verbs import names
-from ltsim.physics.model.construction import declared_construction, ideal
+from ltsim.physics.effects.verbs import name_tuple
+from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings.coordinates import Coordinates, holds_coordinates, read_coordinates
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
@@ -117,7 +117,7 @@ def compare(
     lists = [
         coordinates for coordinates in (_coordinates_of(first), _coordinates_of(second)) if coordinates is not None
     ]
-    held = None if stable is None else names(stable)
+    held = None if stable is None else name_tuple(stable)
     if lists and (same_instrument or robust or not calibrate):
         asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
         raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
@@ -129,7 +129,9 @@ def compare(
         raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
 
     def adjusted(recording: Recording) -> Adjustment:
-        adjustment = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)
+        adjustment = adjust(
+            recording, declared_construction(recording) if calibrate else ideal_construction(), robust=robust
+        )
         adjustment.solution.require_success()
         return adjustment
 

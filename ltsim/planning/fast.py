@@ -22,7 +22,7 @@ from ltsim.geometry.rigid import determines_pose, rigid_motion
 from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
@@ -73,7 +73,7 @@ class NormalBlocks:
 def by_target(errors: IncidenceErrors, target: Ints, targets: int) -> Floats:
     """Weights (T,): 1 for targets among (n,) with the errors of a reflector, else 0."""
     acts = np.zeros(targets)
-    np.maximum.at(acts, target, errors.acts)
+    np.maximum.at(acts, target, errors.reflector_weights)
     return acts
 
 
@@ -103,7 +103,7 @@ class LayoutScorer:
         self, survey: Survey, construction: Construction | None = None, effects: Sequence[Effect] = ()
     ) -> None:
         self.survey, self.effects = survey, tuple(effects)
-        self.construction = construction or misalignment()
+        self.construction = construction or misalignment_construction()
         whole = survey.replace(visible=np.ones_like(survey.visible))
         pointings, state = whole.recording(self.construction), whole.state(self.construction)
         # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
@@ -116,8 +116,10 @@ class LayoutScorer:
         self._vertical = np.full((self.stations, 3), np.nan)
         self._vertical[problem.levels.station] = problem.levels.vertical
         self.prior_sigma = problem.prior.sigma[0]
-        self._reflectors = [(e, by_target(e, pointings.target, len(survey.points))) for e in problem.model.incidence]
-        self._nuisance = sum(len(errors.parameters) for errors in problem.model.incidence)
+        self._reflectors = [
+            (e, by_target(e, pointings.target, len(survey.points))) for e in problem.model.incidence_errors
+        ]
+        self._nuisance = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([np.ones(self._nuisance), self.prior_sigma, np.array(sizes, dtype=np.float64)])
         self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.n_reduced)
@@ -194,9 +196,11 @@ class LayoutScorer:
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
-        by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
+        by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.n_parameters))
         by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
-        reflectors = [replace(e, acts=acts[sightings.target]).design(sightings) for e, acts in self._reflectors]
+        reflectors = [
+            replace(e, reflector_weights=acts[sightings.target]).design(sightings) for e, acts in self._reflectors
+        ]
         designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
         sigma = self.survey.noise(sightings)
         if self.survey.air is not None:

@@ -25,7 +25,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.planning.survey import Survey
 
 
@@ -43,7 +43,7 @@ class LayoutInformation:
 
         Raises NetworkError for undetermined poses or targets.
         """
-        built = construction or misalignment()
+        built = construction or misalignment_construction()
         if not survey.visible.size:
             raise NetworkError("no station sees a target")
         unseen = np.flatnonzero(~survey.visible.any(axis=0))
@@ -127,7 +127,10 @@ KINDS = {
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-RANGE_NOISE, ANGLE_NOISE, LENGTHS, REFLECTORS = "range noise", "angle noise", "gauge lengths", "reflectors"
+RANGE_NOISE = "range noise"
+ANGLE_NOISE = "angle noise"
+LENGTHS = "gauge lengths"
+REFLECTORS = "reflectors"
 
 
 @dataclass(frozen=True)
@@ -230,10 +233,10 @@ def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
     count, lengths, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
-    extra = problem.model.extra_size
+    extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free.shape[1] - params - extra
     mean = _means(information)
-    _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.size))
+    _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.n_parameters))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
     places = np.concatenate([problem.unknowns.instrument[0], problem.unknowns.extra])
@@ -274,11 +277,11 @@ def _means(information: LayoutInformation) -> Floats:
 def _distances(information: LayoutInformation) -> Floats:
     """Matrix (rows, 3 S T) from displacements to deviations of each station's distances from the mean over stations."""
     state = information.adjustment.state
-    stations, targets = len(state.position), len(state.points)
+    stations, targets = len(state.station_positions), len(state.target_points)
     first, second = np.triu_indices(targets, k=1)
-    gap = state.points[first] - state.points[second]
+    gap = state.target_points[first] - state.target_points[second]
     unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-    local = np.einsum("sji,pj->spi", state.rotation, unit)
+    local = np.einsum("sji,pj->spi", state.station_rotations, unit)
     displacement = np.zeros((stations, len(first), stations, targets, 3))
     pair = np.arange(len(first))
     for s in range(stations):
@@ -294,10 +297,10 @@ def _coordinates(information: LayoutInformation) -> Floats:
     The stations are aligned rigidly first.
     """
     state = information.adjustment.state
-    stations, targets = len(state.position), len(state.points)
-    motion = rigid_motion(state.points, state.points.mean(axis=0))
+    stations, targets = len(state.station_positions), len(state.target_points)
+    motion = rigid_motion(state.target_points, state.target_points.mean(axis=0))
     off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
-    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.rotation)
+    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)
     rows = []
     for m, n in combinations(range(stations), 2):

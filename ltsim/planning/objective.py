@@ -23,7 +23,9 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.planning.fast import Reduced
 
 CriterionName = Literal["D", "A", "E"]
-INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
+INSTRUMENT = "instrument"
+TARGETS = "targets"
+DIAGNOSIS = "diagnosis"
 MIN_IMPROVEMENT = 1e-4
 """Relative improvement below which a sweep of exchanges counts as unsuccessful."""
 

@@ -141,8 +141,8 @@ class PlannedParameterEntry(Entry):
             cls(
                 name=p.name,
                 unit=p.unit,
-                sigma=float(sigma / p.factor),
-                prior_sigma=float(prior / p.factor),
+                sigma=float(sigma / p.si_per_display_unit),
+                prior_sigma=float(prior / p.si_per_display_unit),
                 gain=float(1.0 - (sigma / prior) ** 2),
             )
             for p, sigma, prior in rows
@@ -218,7 +218,7 @@ class LayoutEntry(WorkEntry):
     def of_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None = None, **further: Any) -> Self:
         """Entry of a layout, with a check against its tolerances; `further` are the additional fields of a subclass."""
         information, survey = layout.information, layout.survey
-        names = information.construction.names
+        names = information.construction.parameter_names
         return cls(
             broken_rules=tuple(rule.words for rule in layout.broken),
             stations=StationEntry.of(layout),

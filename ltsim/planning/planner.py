@@ -133,8 +133,8 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
     if survey.air is not None and objective.wants_targets:  # the search knows no more of the air than its scatter
         rms = LayoutInformation.of(survey, built).target_rms if np.isfinite(reduced.target_rms[0]) else np.nan
         reduced = replace(reduced, target_rms=np.array([rms]))
-    qualities = objective.qualities(reduced, built.size)
-    value = float(objective.values(reduced, built.size)[0])
+    qualities = objective.qualities(reduced, built.n_parameters)
+    value = float(objective.values(reduced, built.n_parameters)[0])
     return value, {name: float(quality[0]) for name, quality in qualities.items()}
 
 

@@ -10,7 +10,7 @@ from ltsim.adjustment.unmodelled import counted_air, longest_sight
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
-from ltsim.physics.effects.air import air_words
+from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.plan_entries import PlannedParameterEntry
@@ -114,7 +114,7 @@ def _air(plan: PlannedNetwork) -> list[str]:
     air = counted_air(adjustment)
     if air is None:
         return []
-    words = air_words(air, longest_sight(adjustment))
+    words = air_uncertainty_text(air, longest_sight(adjustment))
     return [f"All point errors include the {words}; change it as [air] of the plan."]
 
 
@@ -184,7 +184,7 @@ def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
         x, y, _ = survey.position[s]
         sentences.append(
             f"Without {name} at ({x:.2f}, {y:.2f}) m the quality is {100 * (worse - 1):.0f} % worse, most for "
-            f"{now.construction.names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
+            f"{now.construction.parameter_names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
         )
     return sentences
 

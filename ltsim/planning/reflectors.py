@@ -103,7 +103,7 @@ class PlaceTable:
         rms, determined = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.wants_targets:
             rms[determined] = self.target_rms(totals[determined], chosen[determined])
-        return objective.values(Reduced(information, rms), self.reducer.construction.size)
+        return objective.values(Reduced(information, rms), self.reducer.construction.n_parameters)
 
 
 def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str, ...], visible: Bools) -> Survey:
@@ -306,7 +306,7 @@ class _ReflectorTrials:
 
     def _sigma(self, total: Floats) -> Floats:
         """Standard deviations of the instrument's parameters in prior sigmas."""
-        size = self.table.reducer.construction.size
+        size = self.table.reducer.construction.n_parameters
         information = self.table.information(total[None])[0, :size, :size]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
@@ -359,7 +359,7 @@ class _ReflectorTrials:
             ratios = {name: s / now[name] for name, s in self.table.target_sigma(total, common).items()}
         else:
             ratio = self._sigma(total) / self.sigma
-            ratios = dict(zip(self.table.reducer.construction.names, ratio.tolist(), strict=True))
+            ratios = dict(zip(self.table.reducer.construction.parameter_names, ratio.tolist(), strict=True))
         serves = (min if what != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.choice.names, self.choice.places
         made = PlanChange(

@@ -15,7 +15,7 @@ from ltsim.adjustment.remedies.next_measurement import quiet
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import MIN_IMPROVEMENT, Objective
 from ltsim.planning.site import Placement, SearchSpace
@@ -47,7 +47,7 @@ class LayoutSearcher:
 
     site: SearchSpace
     objective: Objective = field(default_factory=Objective)
-    construction: Construction = field(default_factory=misalignment)
+    construction: Construction = field(default_factory=misalignment_construction)
     step: float = 0.5
     """Step of the grid [m]."""
     yaws: int = 6
@@ -124,7 +124,7 @@ class LayoutSearcher:
         values = [
             self.objective.values(
                 self.reducer.reduce(blocks, chosen[a : a + CHUNK], targets=self.objective.wants_targets),
-                self.construction.size,
+                self.construction.n_parameters,
             )
             for a in range(0, len(chosen), CHUNK)
         ]

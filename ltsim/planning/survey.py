@@ -13,7 +13,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rotations import about_z
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.air import Air
 from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
 from ltsim.recordings.setup import Setup, Station
@@ -114,12 +114,12 @@ class Survey:
         """Instrument frame to network frame, (S, 3, 3)."""
         return np.stack([about_z(float(yaw)) for yaw in self.yaw])
 
-    def state(self, construction: Construction) -> State:
+    def state(self, construction: Construction) -> NetworkState:
         """Nominal state: a perfect instrument at the planned positions."""
         empty = self._empty()
-        values = np.zeros((len(empty.instruments), construction.size))
-        errors = np.zeros(MeasurementModel(empty, construction).extra_size)
-        return State(self.position, self.rotation, self.points, values, errors)
+        values = np.zeros((len(empty.instruments), construction.n_parameters))
+        errors = np.zeros(MeasurementModel(empty, construction).n_extra_parameters)
+        return NetworkState(self.position, self.rotation, self.points, values, errors)
 
     def recording(self, construction: Construction) -> Recording:
         """Recording of a perfect instrument without noise.

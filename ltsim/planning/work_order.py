@@ -21,7 +21,9 @@ MAX_MARKS = 16
 """Largest number of marks that are considered for a station."""
 MIN_STRAIGHT_GAIN = 0.1
 """Smallest gain in firmness of a distance straight to a reflector compared with one along the floor."""
-TAPE_RESOLUTION, MAX_AMBIGUITY, MIN_MISCLOSURE = 0.01, 0.03, 0.1
+TAPE_RESOLUTION = 0.01
+MAX_AMBIGUITY = 0.03
+MIN_MISCLOSURE = 0.1
 """Resolution of a tape, largest ambiguity of the position from three distances, and smallest misclosure at any other
 position [m].
 """

@@ -9,7 +9,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.site import SearchSpace
@@ -221,7 +221,7 @@ def objective_of(plan: PlanFile, survey: Survey) -> Objective:
         else:
             message = "acts on single targets or readings; name effects that act on all or on a station"
             raise SetupError(f"goal.effects: {name} {message}")
-    built = misalignment()
+    built = misalignment_construction()
     sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None
     places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}
     return Objective(weights, goal.criterion, tuple(effects), places)

@@ -40,7 +40,8 @@ MIN_MISFIT_RATIO = 10.0
 MAX_MIRROR_MISFIT = 1e-3
 """Largest misfit of a mirror image, relative to the size of the network, at which it counts as a fit."""
 MAX_NOTES = 3
-MIN_PACE_S, MAX_PACE_S = 0.1, 7200.0
+MIN_PACE_S = 0.1
+MAX_PACE_S = 7200.0
 """Shortest and longest plausible median time [s] between consecutive targets; a question about the clock is asked
 outside them.
 """

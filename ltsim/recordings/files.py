@@ -13,8 +13,10 @@ from ltsim.core.storage import write_files
 
 MAX_NAME = 100
 MAX_NUMBER_LENGTH = 40
-MAX_TEXT, TITLE = 500, 120
-UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
+MAX_TEXT = 500
+TITLE = 120
+UTF8 = b"\xef\xbb\xbf"
+UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)

@@ -43,7 +43,8 @@ from ltsim.recordings.specification import deviating_keys
 from ltsim.recordings.tables.sheets import Row, is_folder
 from ltsim.recordings.transcription_errors import check_degrees
 
-OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
+OBSERVATIONS = "observations.csv"
+SETUP = "setup.toml"
 REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
 BASIC = (*REQUIRED, "repeat", "time_s")

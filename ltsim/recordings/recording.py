@@ -35,7 +35,8 @@ MODE_COLUMN = "distance_mode"
 """Label of the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
-_PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
+_PLAIN_STATION = Station()
+_PLAIN_TARGET = Target()
 MIN_COSINE = 1e-6
 STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical

@@ -87,7 +87,8 @@ FACE_ERRORS = (
 FULL_RADIANS = 2 * np.pi + 0.01
 SHORTEST_MM = 200.0
 MAX_CHORDS = 400
-WRONG_GAP, RIGHT_GAP = 2e-3, 2e-4
+WRONG_GAP = 2e-3
+RIGHT_GAP = 2e-4
 """Relative disagreement of lengths above which a file is wrong, and below which it is right."""
 
 

@@ -30,9 +30,11 @@ CONTENT_SECURITY_POLICY = (
 Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "plan", "none"]
 """View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
-FOLDED_ROWS, UNPRINTED_ROWS = 30, 120
+FOLDED_ROWS = 30
+UNPRINTED_ROWS = 120
 """Number of rows above which a table is folded, and above which it is not printed (three pages)."""
-TERMINAL_ROWS, TERMINAL_WIDTH = 8, 160
+TERMINAL_ROWS = 8
+TERMINAL_WIDTH = 160
 """Number of rows of a folded table on a terminal, and largest width of a table there [characters]."""
 
 

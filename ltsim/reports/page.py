@@ -49,7 +49,8 @@ HEADLINES = {
 """Headline of a page by kind of result and verdict."""
 
 
-NAME, MANIFEST = "report.html", "manifest.json"
+NAME = "report.html"
+MANIFEST = "manifest.json"
 HEADS = ("diagnosis.json", "calibration.json")
 UNREADABLE = "Not readable"
 

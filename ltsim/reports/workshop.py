@@ -25,7 +25,9 @@ SECOND_OPENING = 110.0 * DEGREE
 """Alternative opening of the shadow cone in the paper (section 2.3.2)."""
 MAX_TRACKER_HEIGHT = 3.0
 """Largest height [m] of a tracker above the floor; a plan with its zero farther below the trackers has no floor."""
-MIN_NORMAL_COMPONENT, MAX_DEPTH_DIFFERENCE, FLOOR_MARGIN = 0.25, 0.2, 0.4
+MIN_NORMAL_COMPONENT = 0.25
+MAX_DEPTH_DIFFERENCE = 0.2
+FLOOR_MARGIN = 0.4
 """Smallest component of a nest's normal across its wall; largest difference in depth [m] of nests of one wall; margin
 [m] of the floor around stations and targets."""
 
@@ -123,14 +125,14 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) 
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
     placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
     rows, number = placed[recording.target], np.cumsum(placed) - 1
-    correction = None if plain is None else (state.points - plain.state.points)[placed]
+    correction = None if plain is None else (state.target_points - plain.state.target_points)[placed]
     network = PlacedWorkshop(
         title=recording.setup.title,
         stations=recording.stations,
-        position=state.position,
-        rotation=state.rotation,
+        position=state.station_positions,
+        rotation=state.station_rotations,
         targets=tuple(name for name, is_placed in zip(recording.targets, placed, strict=True) if is_placed),
-        points=state.points[placed],
+        points=state.target_points[placed],
         sights=Sights(
             recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
         ),

@@ -24,7 +24,8 @@ SHAPES = {
     "y": "slab across y",
 }
 """Names of the shapes by the axes in which they are bounded."""
-MIN_STEP, MAX_STEPS = 0.5, 10
+MIN_STEP = 0.5
+MAX_STEPS = 10
 """Smallest distance [m] between the centres of the coarsest grid, and largest number of centres along an axis (both
 limit the cost).
 """
@@ -32,13 +33,15 @@ SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
 """Divisors of that distance in the grids of regions that are bounded in one, two and three axes: a region several times
 as wide as the cause has a tenth of its evidence.
 """
-MIN_PASSING, MAX_PASSING = 6, 0.8
+MIN_PASSING = 6
+MAX_PASSING = 0.8
 """Smallest number, and largest fraction, of the lines of sight that pass a region that is tried: fewer lines indicate
 an error of single readings, almost all of them an error of the whole recording.
 """
 MIN_TARGETS = 2
 """Smallest number of targets behind a region: an error on the lines to one target alone is an error of that target."""
-CENTRE_STEPS, WIDTH_FACTORS = (0.5, 0.15), (0.5, 0.7, 1.4, 2.0)
+CENTRE_STEPS = (0.5, 0.15)
+WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
 """Steps of a centre, in widths, and factors of the width in the refinement of a region."""
 BATCH_SIZE = 300_000
 """Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""

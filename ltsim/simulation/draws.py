@@ -43,7 +43,7 @@ class EffectDistribution:
     @property
     def is_nonnegative(self) -> Bools:
         """Flags (q,) of the parameters that are never negative, such as added variances."""
-        kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
+        kinds = [p.is_positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
@@ -56,13 +56,13 @@ def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tup
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
         given = {} if entry is None else entry.values
-        mean = np.array([given.get(p.name, 0.0) * p.factor for p in effect.parameters])
+        mean = np.array([given.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
         if entry is None:
             mean = reflector_error(scenario)
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
-        counts[effect.name, effect.place] += 1
-        laws.append(EffectDistribution(effect, mean, sigma, counts[effect.name, effect.place]))
+        counts[effect.name, effect.place_text] += 1
+        laws.append(EffectDistribution(effect, mean, sigma, counts[effect.name, effect.place_text]))
     return tuple(laws)
 
 
@@ -152,13 +152,13 @@ class TrialDraws:
         for i, name in enumerate(self.instruments):
             key = ("instrument", name) if name else ("instrument",)
             for k in np.flatnonzero(self.sigma[i]):
-                values[i, k] += self.sigma[i, k] * numbers(1, *key, self.construction.names[k])[0]
+                values[i, k] += self.sigma[i, k] * numbers(1, *key, self.construction.parameter_names[k])[0]
         return values
 
     def _amounts(self, law: EffectDistribution, numbers: NormalSource) -> Floats:
         amounts = np.repeat(law.mean[:, None], len(numbers.trials), axis=1)
         for k in np.flatnonzero(law.sigma):
-            key = (law.effect.name, law.effect.place, law.number, law.effect.parameters[k].name)
+            key = (law.effect.name, law.effect.place_text, law.number, law.effect.parameters[k].name)
             drawn = numbers(1, "effect", *key)[0]
             amounts[k] += law.sigma[k] * (np.abs(drawn) if law.is_nonnegative[k] else drawn)
         return amounts

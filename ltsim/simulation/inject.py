@@ -17,15 +17,16 @@ from ltsim.core.errors import ModelError
 from ltsim.core.results import Columns, Result, Table, numbers
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.effects.verbs import shape_of
-from ltsim.physics.model.measurement import State
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
+from ltsim.physics.effects.signature import CandidateEffect
+from ltsim.physics.effects.verbs import display_constants
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import with_certificates
 
 FORMAT = "ltsim-injection/1"
-CLOSE, ROUNDS = 1e-4, 60
+CLOSE = 1e-4
+ROUNDS = 60
 MAX_CHANGE_SIGMAS = 30.0
 """Largest change of a reading in standard deviations, divided by the square root of the fraction of the effect that
 remains after adjustment.
@@ -36,7 +37,7 @@ remains after adjustment.
 class Injected(Result):
     """Effect with the values (q,) [SI] of its parameters, as injected into a recording."""
 
-    cause: Tunable
+    cause: CandidateEffect
     words: str
     """Text of the user's request for the effect."""
     values: Floats
@@ -48,8 +49,10 @@ class Injected(Result):
     """Largest change of a distance [um], azimuth and elevation [urad]; for noise the largest standard deviation."""
 
     def _lines(self) -> list[str]:
-        sizes = ", ".join(f"{p.name} {value / p.factor:.4g} {p.unit}".rstrip() for p, value in self._parameters())
-        place = f" at {self.cause.place}" if self.cause.place else ""
+        sizes = ", ".join(
+            f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameters()
+        )
+        place = f" at {self.cause.place_text}" if self.cause.place_text else ""
         return [f"Injected: {self.words}{place}: {sizes}; noncentrality {self.noncentrality:.3g}"]
 
     def _parameters(self) -> list[tuple[Any, float]]:
@@ -62,14 +65,14 @@ class Injected(Result):
         rows = self._parameters()
         return {
             "parameter": [p.name for p, _ in rows],
-            "value": [value / p.factor for p, value in rows],
+            "value": [value / p.si_per_display_unit for p, value in rows],
             "unit": [p.unit for p, _ in rows],
         }
 
     def to_json(self) -> dict[str, Any]:
         """Entry of the effect in a truth file."""
         cause = self.cause
-        shape = shape_of(cause) if isinstance(cause, Effect) else {}
+        shape = display_constants(cause) if isinstance(cause, Effect) else {}
         return {
             "effect": cause.name, "words": self.words, "stations": list(cause.stations), "targets": list(cause.targets),
             "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
@@ -149,26 +152,26 @@ class Injector:
     space: ResidualSpace
 
     @property
-    def state(self) -> State:
+    def state(self) -> NetworkState:
         """Adjusted state: poses of the stations, positions of the targets."""
         return self.space.adjustment.state
 
-    def change(self, cause: Tunable, values: Floats) -> Floats:
+    def change(self, cause: CandidateEffect, values: Floats) -> Floats:
         """Change (n, 3) [m, rad, rad] of the readings by an effect, NaN for missing readings; 0 for noise."""
         sightings, readings = self.space.sightings, self.recording.readings
-        if not isinstance(cause, Mistake):
-            return cause.shift(sightings, values)
-        done, instrument = cause.done(sightings), self.state.instrument
+        if not isinstance(cause, Blunder):
+            return cause.reading_change(sightings, values)
+        done, instrument = cause.measured_sightings(sightings), self.state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.space.adjustment.problem.model.construction
         moved, plain = (construction.readings(s.local, s.face, errors) for s in (done, sightings))
-        change: Floats = cause.written(sightings, readings + moved - plain) - readings
+        change: Floats = cause.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap(change[:, 1:]).T], axis=1)
 
-    def lengths(self, cause: Tunable, values: Floats) -> Floats:
+    def lengths(self, cause: CandidateEffect, values: Floats) -> Floats:
         """Change (g,) [m] of the reference lengths by an effect."""
         gauge = self.space.adjustment.problem.gauge
-        return cause.gauge_design(gauge.first, gauge.second, self.state.points) @ values
+        return cause.gauge_design(gauge.first, gauge.second, self.state.target_points) @ values
 
     def deviation(self, cause: NoiseEffect, values: Floats) -> Floats:
         """Standard deviation (n, 3) of the added noise."""
@@ -178,7 +181,7 @@ class Injector:
             raise ModelError(f"{cause.name} would reduce the noise of the recording; give larger values")
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
-    def noncentrality(self, cause: Tunable, values: Floats) -> float:
+    def noncentrality(self, cause: CandidateEffect, values: Floats) -> float:
         """Noncentrality of an effect after the adjustment; 0 if the network absorbs it."""
         space = self.space
         if isinstance(cause, NoiseEffect):
@@ -191,9 +194,9 @@ class Injector:
         square = float(projected @ projected)
         return square if square > UNCHECKED * float(whole @ whole) else 0.0
 
-    def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
+    def sized(self, cause: CandidateEffect, values: Floats, wanted: float) -> Floats:
         """Values scaled to the requested noncentrality; raises ModelError if the network absorbs the effect."""
-        if isinstance(cause, Mistake):
+        if isinstance(cause, Blunder):
             raise ModelError(f"{cause.name} has no size; leave out the noncentrality")
         factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(wanted)
         for _ in range(ROUNDS):
@@ -206,15 +209,18 @@ class Injector:
                 return factor * values
             factor *= float(np.clip(np.sqrt(wanted / noncentrality), 1e-3, 1e3))
         raise ModelError(
-            f"the network absorbs {cause.name} {cause.place}: no plausible size gives a noncentrality of {wanted:g}"
+            f"the network absorbs {cause.name} {cause.place_text}: "
+            f"no plausible size gives a noncentrality of {wanted:g}"
         )
 
-    def _peak(self, cause: Tunable, values: Floats) -> float:
+    def _peak(self, cause: CandidateEffect, values: Floats) -> float:
         """Largest change of a reading, or standard deviation of added noise, divided by the sigma of the reading."""
         moved = self.deviation(cause, values) if isinstance(cause, NoiseEffect) else self.change(cause, values)
         return float(np.nanmax(np.abs(moved) / self.space.sigma, initial=0.0))
 
-    def put(self, cause: Tunable, values: Floats, words: str, rng: np.random.Generator) -> tuple[Recording, Injected]:
+    def put(
+        self, cause: CandidateEffect, values: Floats, words: str, rng: np.random.Generator
+    ) -> tuple[Recording, Injected]:
         """Recording with an injected effect, and the entry of the effect."""
         if isinstance(cause, NoiseEffect):
             change = self.deviation(cause, values) * rng.standard_normal(self.recording.readings.shape)

@@ -40,7 +40,7 @@ def unit_of(scenario: Scenario, key: str) -> str:
             return built.parameters[built.index(last)].unit
         if parents[:1] == ["effects"] and parents[2:] in (["values"], ["shape"]):
             kind = find_effect(scenario.effects[int(parents[1]) - 1].name)
-            parameters = kind.parameters if parents[2] == "values" else kind.shape
+            parameters = kind.parameters if parents[2] == "values" else kind.shape_parameters
             return next((entry.unit for entry in parameters if entry.name == last), "")
     except (LtsimError, ValueError, IndexError):
         return ""

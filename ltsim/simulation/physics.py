@@ -8,7 +8,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment
+from ltsim.physics.model.construction import Construction, construction_with_orders, misalignment_construction
 from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
@@ -31,7 +31,7 @@ def planned_construction(scenario: Scenario) -> Construction:
     if built.name == "steering-mirror":
         return built
     read = {name for tracker in scenario.trackers.values() for name in tracker.observables}
-    return misalignment(effect for effect in BASELINE if read & {*effect.observables})
+    return misalignment_construction(effect for effect in BASELINE if read & {*effect.observables})
 
 
 def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
@@ -51,7 +51,7 @@ def _law(instrument: ScenarioInstrument, construction: Construction, name: str) 
         with as_setup_error(f"{table_name(name)}.errors.{error}"):
             construction.index(error)
     parameters = construction.parameters
-    mean = np.array([errors.get(p.name, 0.0) * p.factor for p in parameters])
+    mean = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
     free = [instrument.draws and p.name not in errors for p in parameters]
     prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
     return mean, np.where(free, instrument.error_factor * prior, 0.0)
@@ -92,7 +92,7 @@ def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
 def reflector_error(scenario: Scenario) -> Floats:
     """Parameters (p,) [SI] of the effect `smr-incidence` that correspond to the scenario's table."""
     table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
-    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).values_of_table
+    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 
 def _effect_of(entry: EffectEntry, number: int) -> Effect:

@@ -12,7 +12,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import Sized, effect_from
+from ltsim.physics.effects.verbs import SizedEffect, make_effect
 from ltsim.recordings.air import Air
 from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.settings import checked, merge_defaults, read_toml, to_toml, with_instruments
@@ -160,13 +160,13 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
 
 def _as_table(value: Any, *, effects: bool) -> Any:
     """New value in the form of a file: effects (`lt.Effect` or names, alone or in a list) as their tables."""
-    if isinstance(value, Effect | Sized) or (effects and isinstance(value, str)):
+    if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
         return value
-    given = [effect_from(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
+    given = [make_effect(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
     return [
-        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | Sized) else v
+        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | SizedEffect) else v
         for v in given
     ]
 

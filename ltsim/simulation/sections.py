@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.physics.effects.verbs import Sized, effect_from, shape_of
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
+from ltsim.physics.effects.verbs import SizedEffect, display_constants, make_effect
 from ltsim.recordings.setup import (
     MIN_SIGMA,
     Finite,
@@ -223,7 +223,7 @@ class Smr(TomlSection):
     incidence_error: bool = False
     """True for reflectors with the incidence error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
-        round(x / MICROMETRE, 6) for x in PAPER_TABLE
+        round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS
     )
     """Range error at -30, -22.5, ... +30 deg of incidence."""
     direction_deg: Angle = 0.0
@@ -377,7 +377,7 @@ class PlacedEffect(TomlSection):
     def effect(self, where: str) -> Effect:
         """Effect object of the entry; raises SetupError that names `where` and the permitted values."""
         try:
-            return effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
+            return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
             raise SetupError(f"{where}: {problem}") from None
 
@@ -391,8 +391,8 @@ class EffectEntry(PlacedEffect):
     """Values of the parameters by name, in units of display."""
 
     @classmethod
-    def of(cls, given: Effect | Sized) -> Self:
+    def of(cls, given: Effect | SizedEffect) -> Self:
         """Entry of an effect with its places, constants and sizes; sizes are drawn if none is given."""
-        effect, sizes = (given.effect, dict(given.sizes)) if isinstance(given, Sized) else (given, {})
+        effect, sizes = (given.effect, dict(given.parameter_values)) if isinstance(given, SizedEffect) else (given, {})
         places = {"stations": effect.stations, "targets": effect.targets}
-        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=shape_of(effect))
+        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))

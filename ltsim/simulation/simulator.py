@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.geometry.polar import wrap
-from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import (
@@ -114,7 +114,7 @@ def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats,
     readings[:, 1] = wrap(readings[:, 1])
     readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
     for mistake in blunders_in(work.effects, values):
-        readings = mistake.written(work.sightings, readings)
+        readings = mistake.recorded_readings(work.sightings, readings)
     recorded = [[name in tracker.observables for name in OBSERVABLES] for tracker in work.scenario.trackers.values()]
     return np.where(np.array(recorded)[work.sightings.instrument], readings, np.nan)
 
@@ -126,18 +126,18 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
     """
     sightings = work.sightings
     for mistake in blunders_in(work.effects, values):
-        sightings = mistake.done(sightings)
+        sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = work.construction.readings(sightings.local, sightings.face, errors)
     for k in sorted(range(len(work.effects)), key=lambda k: work.effects[k].stage):
-        if not isinstance(work.effects[k], Mistake):
-            readings = readings + work.effects[k].shift(sightings, values[k])
+        if not isinstance(work.effects[k], Blunder):
+            readings = readings + work.effects[k].reading_change(sightings, values[k])
     return readings
 
 
-def blunders_in(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
+def blunders_in(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Blunder]:
     """Blunders in a trial: those whose parameter is not 0."""
-    return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
+    return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
@@ -215,7 +215,7 @@ def _targets(work: Fieldwork) -> dict[str, Target]:
 def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, trial: int) -> Truth:
     s, scenario = work.sightings, work.scenario
     trackers = scenario.trackers
-    names = work.construction.names_of(tuple(trackers))
+    names = work.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
     if scenario.cmm.nominal:
         nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ()))

@@ -17,7 +17,7 @@ from ltsim.core.units import FACTOR, MILLIMETRE
 from ltsim.core.values import ValueEquality
 from ltsim.geometry.rotations import quaternion
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import effect_from, shape_of
+from ltsim.physics.effects.verbs import display_constants, make_effect
 from ltsim.recordings.files import shown, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
@@ -101,14 +101,14 @@ class InstrumentValue(TrueValue):
 
     @classmethod
     def of(cls, flat_name: str, value: float, unit: str) -> Self:
-        """Entry of a value [SI]; `flat_name` has the form of `Construction.names_of`."""
+        """Entry of a value [SI]; `flat_name` has the form of `Construction.instrument_parameter_names`."""
         name, _, instrument = flat_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
         return cls(name=name, value=value / FACTOR[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
-        """Name of the parameter with its instrument, in the form of `Construction.names_of`."""
+        """Name of the parameter with its instrument, in the form of `Construction.instrument_parameter_names`."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
@@ -134,18 +134,20 @@ class TrueEffect(Entry):
             effect=effect.name,
             stations=effect.stations,
             targets=effect.targets,
-            shape=shape_of(effect),
+            shape=display_constants(effect),
             parameters=tuple(
-                TrueValue(name=p.name, value=value / p.factor, unit=p.unit)
+                TrueValue(name=p.name, value=value / p.si_per_display_unit, unit=p.unit)
                 for p, value in zip(effect.parameters, values, strict=True)
             ),
         )
 
     def applied(self) -> AppliedEffect:
         """The effect as an object, with its values [SI]; raises LtsimError."""
-        effect = effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
+        effect = make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         values = {p.name: p.value for p in self.parameters}
-        return AppliedEffect(effect, np.array([values.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+        return AppliedEffect(
+            effect, np.array([values.get(p.name, 0.0) * p.si_per_display_unit for p in effect.parameters])
+        )
 
 
 class TruePoint(Entry):

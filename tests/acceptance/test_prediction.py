@@ -9,7 +9,7 @@ import ltsim as lt
 from ltsim.acceptance.prediction import AcceptancePlan
 from ltsim.acceptance.spec import asme, envelope, iso_two_face
 from ltsim.core.arrays import Floats
-from ltsim.physics.model.construction import misalignment, steering_mirror
+from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
 from ltsim.recordings.specification import sheet
 
 SHEET = sheet("leica-at500")
@@ -18,11 +18,13 @@ URAD = MICROMETRE = 1e-6
 
 @pytest.fixture(scope="module")
 def plan() -> AcceptancePlan:
-    return AcceptancePlan(tuple(asme(1.5, (2.0, 6.0, 30.0))), misalignment(), SHEET, SHEET.instrument().noise)
+    return AcceptancePlan(
+        tuple(asme(1.5, (2.0, 6.0, 30.0))), misalignment_construction(), SHEET, SHEET.instrument().noise
+    )
 
 
 def one(plan: AcceptancePlan, name: str, size: float) -> Floats:
-    values = np.zeros(plan.construction.size)
+    values = np.zeros(plan.construction.n_parameters)
     values[plan.construction.index(name)] = size
     return values
 
@@ -98,7 +100,7 @@ def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -
 
 @pytest.mark.parametrize("design", ["source-in-head", "steering-mirror"])
 def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
-    built = steering_mirror() if design == "steering-mirror" else misalignment()
+    built = steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
     stated = SHEET.instrument(design)
     plan = AcceptancePlan(tuple(iso_two_face(1.5)), built, SHEET, stated.noise)
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
@@ -116,7 +118,7 @@ def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
     sizes = []
     for factor in (0.0, 1.0):
         values = zip(plan.construction.parameters, factor * worst, strict=True)
-        errors = {"draw": False, **{p.name: float(v / p.factor) for p, v in values}}
+        errors = {"draw": False, **{p.name: float(v / p.si_per_display_unit) for p, v in values}}
         scenario = lt.scenario(
             "paper-workshop-re-aimed",
             {

@@ -13,8 +13,8 @@ from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Noise, Station, Target
 from tests.campaigns.workshop import workshop
@@ -42,7 +42,7 @@ def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
     assert warnings_of(found) == ()
     assert verdict(found).case is Agreement.CLEAN
-    lt.adjust(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
+    lt.adjust(with_known(noisy(), workshop()[1].target_points[:6] @ about_z(0.3).T + 5.0))
 
 
 @pytest.mark.long
@@ -63,7 +63,7 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
 )
 def test_known_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
     with pytest.raises(NetworkError, match=rf"known points contradict the readings.*{words}"):
-        lt.adjust(with_known(noisy(), change(workshop()[1].points[:8])))
+        lt.adjust(with_known(noisy(), change(workshop()[1].target_points[:8])))
 
 
 def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right() -> None:
@@ -113,11 +113,13 @@ def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() ->
 
 def test_targets_on_one_line_are_said_to_be_on_one_line() -> None:
     recording, state = workshop()
-    line = state.points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
-    points = state.points.copy()
+    line = state.target_points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
+    points = state.target_points.copy()
     points[:10] = line
     local = np.einsum(
-        "nji,nj->ni", state.rotation[recording.station], points[recording.target] - state.position[recording.station]
+        "nji,nj->ni",
+        state.station_rotations[recording.station],
+        points[recording.target] - state.station_positions[recording.station],
     )
     readings = to_polar(local)
     readings[(recording.station == 4) & (recording.target >= 10)] = np.nan
@@ -175,16 +177,16 @@ def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
         Target(known_mm=(0, 0, 0), known_sigma_mm=1e-300)
 
 
-def on_a_line(off: float) -> tuple[Recording, State]:
+def on_a_line(off: float) -> tuple[Recording, NetworkState]:
     """The workshop whose last station sees ten targets only, `off` [m] a line."""
     recording, state = workshop()
-    points, use = state.points.copy(), (recording.station != 4) | (recording.target < 10)
+    points, use = state.target_points.copy(), (recording.station != 4) | (recording.target < 10)
     line = points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
     points[:10] = line + off * stream(1, "line").standard_normal((10, 3))
     rows = {n: getattr(recording, n)[use] for n in ("station", "target", "face", "repeat", "time", "readings")}
     recording = recording.replace(**rows)
-    where = State(state.position, state.rotation, points, np.zeros((1, 0)))
-    return recording.with_readings(MeasurementModel(recording, ideal()).predict(where)), where
+    where = NetworkState(state.station_positions, state.station_rotations, points, np.zeros((1, 0)))
+    return recording.with_readings(MeasurementModel(recording, ideal_construction()).predict(where)), where
 
 
 @pytest.mark.parametrize(("off", "bent"), [(3e-2, False), (1e-3, True)])
@@ -195,7 +197,7 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
     for _ in range(trials):
         noise = rng.standard_normal(recording.readings.shape) * recording.sigma()
         found = adjust(recording.with_readings(recording.readings + noise), start=where)
-        gap = found.state.position[4] - where.position[4]
+        gap = found.state.station_positions[4] - where.station_positions[4]
         inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
     assert (curvature(found)[4] > BENT) == bent
     assert (inside < 0.8 * trials) == bent

@@ -22,7 +22,7 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
     told = {"stations": stations, "heads_sigma_mm": sigma_mm}
     higher = 1e-3 * sigma_mm * stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
-    by_target = adjust(recording).problem.model.linearised(adjust(recording).state).by_target
+    by_target = adjust(recording).problem.model.linearised(adjust(recording).state).target_derivatives
     readings = recording.readings + np.einsum("nij,nj->ni", by_target, change)
     labels = {"target_setup": tuple(recording.stations[s] for s in recording.station)}
     setup = recording.setup.model_copy(update=told)
@@ -38,7 +38,7 @@ def test_heights_that_differ_by_set_up_are_estimated_and_the_network_agrees() ->
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
     pairs = list(dict.fromkeys(zip(recording.target.tolist(), recording.station.tolist(), strict=True)))
     value = np.zeros(higher.shape)
-    for (target, station), height in zip(pairs, found.state.extra, strict=True):
+    for (target, station), height in zip(pairs, found.state.extra_parameters, strict=True):
         value[station, target] = height
     gap = value - higher  # what all heights of a mark share is its coordinate, what those of a station do is its own
     gap = gap - gap.mean(axis=0) - gap.mean(axis=1, keepdims=True) + gap.mean()

@@ -63,7 +63,7 @@ def test_a_wrong_control_point_is_named_and_the_readings_stay(size: float, robus
         assert (wrong.kind, wrong.name, wrong.excluded) == ("point", name, True)
         assert float(np.linalg.norm(wrong.error)) == pytest.approx(1e-3 * size, abs=0.1e-3)
         assert found.rejected.sum() == sound.rejected.sum()
-        miss, least = (np.sqrt(np.mean((x.state.points - mesh()) ** 2)) for x in (found, sound))
+        miss, least = (np.sqrt(np.mean((x.state.target_points - mesh()) ** 2)) for x in (found, sound))
         assert miss < 1.2 * least
         assert f"the known coordinates of {name} are off by" in warnings_of(found)[0]
 
@@ -161,7 +161,7 @@ def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
 
 def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None:
     recording, _ = network(seed=6, faces=2)
-    ahead = adjust(recording).state.rotation[:, :, 0]
+    ahead = adjust(recording).state.station_rotations[:, :, 0]
     yaws = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])) + 100.0
 
     def oriented(off_arcsec: float) -> Recording:
@@ -174,7 +174,7 @@ def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None
     sound, wrong = adjust(oriented(0.0)), adjust(oriented(60.0))
     assert sound.rejected_references == ()
     assert sound.problem.free.shape[1] == 3
-    turned = sound.state.rotation[:, :, 0]
+    turned = sound.state.station_rotations[:, :, 0]
     assert np.abs(wrap(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
     assert [(test.kind, test.name) for test in wrong.rejected_references] == [("yaw", "S3")]
     assert 3600 * np.degrees(wrong.rejected_references[0].error[0]) == pytest.approx(60.0, abs=6.0)
@@ -212,8 +212,8 @@ def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> Non
     assert (test.kind, test.excluded, len(test.indistinguishable_from)) == ("length", False, 1)
     told = lt.diagnose(with_two_lengths(recording, wrong, -wrong))
     assert [finding.carrier for finding in told.findings] == ["reference length"] * 2
-    rotation, shift = align(told.targets.points, truth.state.points)
-    off = told.targets.points @ rotation.T + shift - truth.state.points
+    rotation, shift = align(told.targets.points, truth.state.target_points)
+    off = told.targets.points @ rotation.T + shift - truth.state.target_points
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 20e-6
 
 
@@ -246,7 +246,7 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         assert [test.name for test in found.axis_tests if test.excluded] == [name]
         rest = {n: place for n, place in points.items() if n != name}
         sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
-        np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)
+        np.testing.assert_allclose(found.state.target_points, sound.state.target_points, atol=1e-8)
 
 
 def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:

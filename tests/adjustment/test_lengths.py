@@ -97,7 +97,7 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     found = adjust(recording)
     rows = as_dense(found.solution.system.design)[int(found.problem.use.sum()) :][:3]
     columns = found.problem.unknowns.target[gauge.first]
-    along = gauge.directions(found.state.points)
+    along = gauge.directions(found.state.target_points)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
 
 
@@ -112,16 +112,16 @@ def test_lengths_share_a_scale_or_tell_none(measured: Recording) -> None:
 
 def test_a_length_measured_in_place_is_an_observation_with_its_sigma(measured: Recording) -> None:
     """An interferometer's length and a known one are the same row, in a workshop of any temperature."""
-    points = adjust(measured).state.points
+    points = adjust(measured).state.target_points
     ends = {"first": "T01", "second": "T08"}
     length = 1e3 * float(np.linalg.norm(points[0] - points[7]))
     plain = with_gauge(measured, line(*ends.values(), length))
     warm = with_gauge(measured, line(*ends.values(), length, measured_in_place=True), measured_at_c=35.0, **STEEL)
     one, other = adjust(plain), adjust(warm)
     assert one.dof == other.dof == adjust(with_gauge(measured)).dof + 1
-    np.testing.assert_allclose(other.state.points, one.state.points, atol=1e-12)
+    np.testing.assert_allclose(other.state.target_points, one.state.target_points, atol=1e-12)
     tied = adjust(with_gauge(measured, line(*ends.values(), length + 0.02, measured_in_place=True)))
-    gap = 1e3 * float(np.linalg.norm(tied.state.points[0] - tied.state.points[7])) - length
+    gap = 1e3 * float(np.linalg.norm(tied.state.target_points[0] - tied.state.target_points[7])) - length
     assert 0.016 < gap < 0.02  # held to 1 um, against readings of some 10 um
 
 
@@ -167,7 +167,7 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     assert total == pytest.approx(found.linear.covariance[0, 0], rel=1e-9)
     adjusted = found.inputs.origin
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
-    arm = adjusted.state.points[names[0]] - adjusted.state.points[names[1]]
+    arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]
     unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)
     at = adjusted.problem.unknowns.target[names].ravel()
     pick = np.zeros((adjusted.problem.unknowns.size, 6))

@@ -11,8 +11,8 @@ from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.quality import warnings_of
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar, to_polar
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
 from tests.families import family
@@ -26,8 +26,8 @@ def two_days(beside: float, seed: int = 1, along: tuple[float, ...] = (0.8, 0.6,
     stated = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
     position = STATIONS[:4].copy()
     position[3] = position[0] + beside * np.array(along)
-    state = State(position, truth.state.rotation, mesh(), np.zeros((1, 0)))
-    exact = stated.with_readings(MeasurementModel(stated, ideal()).predict(state))
+    state = NetworkState(position, truth.state.station_rotations, mesh(), np.zeros((1, 0)))
+    exact = stated.with_readings(MeasurementModel(stated, ideal_construction()).predict(state))
     noise = stream(seed, "noise").standard_normal(exact.readings.shape)
     return exact.with_readings(exact.readings + exact.sigma() * noise)
 
@@ -65,8 +65,8 @@ def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(heigh
 def test_a_height_over_a_known_mark_that_nothing_else_shows_may_be_either(height: float) -> None:
     recording, truth = network(seed=4, stations=4)
     over = {name: Station(levelled=True, over=f"M{i}") for i, name in enumerate(recording.stations)}
-    marks = {f"M{i}": Target(known_mm=tuple(1e3 * place)) for i, place in enumerate(truth.state.position)}
-    marks["M2"] = Target(known_mm=tuple(1e3 * (truth.state.position[2] - [0.0, 0.0, height])))
+    marks = {f"M{i}": Target(known_mm=tuple(1e3 * place)) for i, place in enumerate(truth.state.station_positions)}
+    marks["M2"] = Target(known_mm=tuple(1e3 * (truth.state.station_positions[2] - [0.0, 0.0, height])))
     setup = recording.setup.model_copy(update={"stations": over, "targets": recording.setup.targets | marks})
     found = adjust(recording.replace(setup=setup))
     (wrong,) = found.rejected_references

@@ -75,7 +75,7 @@ def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed:
     moved = centring_errors(found)
     assert moved is not None
     assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("P4", "target", DAYS[1])]
-    turned = found.state.points[1, :2] / np.linalg.norm(PILLARS[1, :2])
+    turned = found.state.target_points[1, :2] / np.linalg.norm(PILLARS[1, :2])
     across = np.array([-turned[1], turned[0]])
     east = PILLARS[1, :2] / np.linalg.norm(PILLARS[1, :2])
     expected = np.array([1.5, 1.0]) @ east * turned + np.array([1.5, 1.0]) @ [-east[1], east[0]] * across

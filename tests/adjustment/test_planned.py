@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.solve.gauss_newton import Status
 from tests.campaigns.workshop import workshop
@@ -16,7 +16,10 @@ from tests.campaigns.workshop import workshop
 
 def test_a_planned_adjustment_has_the_precision_of_the_solved_one() -> None:
     recording, state = workshop(faces=2)
-    planned, solved = Adjustment.planned(recording, state, misalignment()), adjust(recording, misalignment())
+    planned, solved = (
+        Adjustment.planned(recording, state, misalignment_construction()),
+        adjust(recording, misalignment_construction()),
+    )
     assert planned.solution.status is Status.PLANNED
     assert planned.solution.converged
     for name in ("instrument_covariance", "pose_covariance", "target_covariance", "redundancy"):
@@ -34,12 +37,12 @@ def test_a_plan_that_leaves_a_station_open_is_refused_with_its_name() -> None:
 
 def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
     recording, state = workshop(faces=2)
-    there = state.moved(np.full((5, 6), 0.01), np.full((28, 3), 0.02), np.zeros((1, 16)), np.zeros(0))
+    there = state.incremented(np.full((5, 6), 0.01), np.full((28, 3), 0.02), np.zeros((1, 16)), np.zeros(0))
     order = np.random.default_rng(0).permutation(len(recording))
     rows = {name: getattr(recording, name)[order] for name in ("station", "target", "face", "repeat", "time")}
     moved = recording.replace(**rows, readings=recording.readings[order])
-    model = MeasurementModel(moved, misalignment())
-    ours = NetworkProblem.of(MeasurementModel(recording, misalignment())).elsewhere(model).linearise(there)
+    model = MeasurementModel(moved, misalignment_construction())
+    ours = NetworkProblem.of(MeasurementModel(recording, misalignment_construction())).elsewhere(model).linearise(there)
     alone = NetworkProblem.of(model).linearise(there)
     np.testing.assert_array_equal(ours.design, alone.design)
     np.testing.assert_array_equal(ours.residual, alone.residual)
@@ -47,7 +50,7 @@ def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
 
 def test_other_readings_in_use_are_counted_anew() -> None:
     recording, _ = workshop()
-    problem = NetworkProblem.of(MeasurementModel(recording, misalignment()))
+    problem = NetworkProblem.of(MeasurementModel(recording, misalignment_construction()))
     use = problem.use.copy()
     use[recording.target == 5] = False
     use[recording.station == 2, 1] = False

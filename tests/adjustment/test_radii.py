@@ -19,8 +19,8 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.polar import wrap
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.spec import tasks_from
-from ltsim.physics.model.construction import ideal, misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import write
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
@@ -68,7 +68,7 @@ def with_setup(recording: Recording, **changes: Any) -> Recording:
 def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
     """Adjusted less true coordinates (T, 3) [m], and the covariances."""
     found = adjust(recording)
-    return found.state.points - truth.points, found.target_covariance
+    return found.state.target_points - truth.points, found.target_covariance
 
 
 def test_targets_are_the_centres_of_the_reference_ball() -> None:
@@ -105,22 +105,24 @@ def test_levels_hold_it_where_the_normals_are_vertical() -> None:
     recording, truth = lt.simulate(upright, seed=3)
     found = adjust(recording)
     assert 0.8 < found.sigma0 < 1.2 and not found.gross.any()
-    apart, true = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.points, truth.points))
+    apart, true = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.target_points, truth.points))
     assert np.abs(apart - true).max() < 80e-6
 
 
-@pytest.mark.parametrize("construction", [ideal(), misalignment()])
+@pytest.mark.parametrize("construction", [ideal_construction(), misalignment_construction()])
 def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     model = MeasurementModel(recording, construction)
     draw = stream(1, "reflectors")
-    state = State(truth.position, truth.rotation, truth.points, np.zeros((1, construction.size)))
+    state = NetworkState(truth.position, truth.rotation, truth.points, np.zeros((1, construction.size)))
     pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.points.shape))
     there = model.linearised(state)
-    first = np.einsum("nij,nj->ni", there.by_pose, pose[recording.station])
-    first += np.einsum("nij,nj->ni", there.by_target, points[recording.target])
-    zero = np.zeros_like(state.instrument), np.zeros(0)
-    exact = model.predict(state.moved(pose, points, *zero)) - model.predict(state.moved(-pose, -points, *zero))
+    first = np.einsum("nij,nj->ni", there.pose_derivatives, pose[recording.station])
+    first += np.einsum("nij,nj->ni", there.target_derivatives, points[recording.target])
+    zero = np.zeros_like(state.instrument_parameters), np.zeros(0)
+    exact = model.predict(state.incremented(pose, points, *zero)) - model.predict(
+        state.incremented(-pose, -points, *zero)
+    )
     exact[:, 1] = wrap(exact[:, 1])
     np.testing.assert_allclose(exact / 2, first, atol=1e-12)
     np.testing.assert_allclose(there.readings, model.predict(state), atol=1e-13)

@@ -11,8 +11,8 @@ from ltsim.adjustment.frame import Pairs
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.construction import ideal
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import ideal_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 from ltsim.solve import design
@@ -38,7 +38,7 @@ def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
     sparse = adjust(recording)
     monkeypatch.setattr(design, "MAX_DENSE_ENTRIES", 10**9)
     dense = adjust(recording)
-    np.testing.assert_allclose(sparse.state.points, dense.state.points, atol=1e-9)
+    np.testing.assert_allclose(sparse.state.target_points, dense.state.target_points, atol=1e-9)
     np.testing.assert_allclose(sparse.target_covariance, dense.target_covariance, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.pose_covariance, dense.pose_covariance, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.redundancy, dense.redundancy, atol=1e-7)
@@ -72,7 +72,9 @@ def tunnel(stations, each=50):
         time=np.arange(len(ones), dtype=np.float64),
         readings=np.zeros((len(ones), 3)),
     )
-    exact = MeasurementModel(recording, ideal()).predict(State(position, rotation, points, np.zeros((1, 0))))
+    exact = MeasurementModel(recording, ideal_construction()).predict(
+        NetworkState(position, rotation, points, np.zeros((1, 0)))
+    )
     recording = recording.with_readings(exact)
     return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
 

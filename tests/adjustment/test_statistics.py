@@ -9,12 +9,12 @@ from ltsim.adjustment.reliability import critical_w, noncentrality, p_value_of_t
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from tests.networks import drawn, network
 
-TRACKER = misalignment()
+TRACKER = misalignment_construction()
 
 
 def noisy(seed: int, scale=(1.0, 1.0, 1.0), **options):
@@ -114,7 +114,7 @@ def test_many_blunders_are_left_out_and_nothing_else(seed):
     use = np.ones((len(clean), 3), dtype=bool)
     use[tuple(np.array(where).T)] = False
     without = adjust(clean, TRACKER, use=use)
-    np.testing.assert_allclose(found.state.points, without.state.points, atol=1e-9)
+    np.testing.assert_allclose(found.state.target_points, without.state.target_points, atol=1e-9)
 
 
 def test_clean_recordings_lose_nothing():

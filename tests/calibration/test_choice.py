@@ -11,12 +11,12 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.setup import Instrument, Prior
 from tests.networks import drawn, network
 
-VALUES = drawn(misalignment(), 3)
+VALUES = drawn(misalignment_construction(), 3)
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +42,9 @@ def test_only_chosen_parameters_are_estimated(recording: Recording, method: str)
 @pytest.mark.long
 def test_holding_at_the_truth_is_as_good_as_leaving_the_parameter_out(recording: Recording) -> None:
     """Held at zero, a parameter that is zero changes nothing against a construction that lacks it."""
-    whole = misalignment()
-    fewer = whole.only(range(8))
-    held = lt.calibrate(recording, parameters=whole.names[:8], advise=False)
+    whole = misalignment_construction()
+    fewer = whole.with_parameter_subset(range(8))
+    held = lt.calibrate(recording, parameters=whole.parameter_names[:8], advise=False)
     without = lt.calibrate(recording, construction=fewer, advise=False)
     assert held.fit.dof == without.fit.dof
     assert held.fit.chi2 == pytest.approx(without.fit.chi2, rel=1e-9)
@@ -125,11 +125,11 @@ def test_a_prior_of_a_parameter_that_does_not_exist_is_refused(recording: Record
 
 @pytest.mark.parametrize(("harmonics", "degree", "size"), [(0, 1, 24), (3, 2, 102), (4, 3, 132)])
 def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, size: int) -> None:
-    from ltsim.physics.model.construction import construction, with_parameters
+    from ltsim.physics.model.construction import construction_for_parameters, make_construction
 
-    built = construction("dh", harmonics, degree)
-    assert built.size == size
-    assert with_parameters("dh", built.names).names == built.names
+    built = make_construction("dh", harmonics, degree)
+    assert built.n_parameters == size
+    assert construction_for_parameters("dh", built.parameter_names).parameter_names == built.parameter_names
 
 
 @pytest.mark.long
@@ -167,9 +167,9 @@ def test_a_history_is_a_prior_and_takes_only_calibrations_without_one(recording:
 
 
 def test_an_extra_coefficient_that_contradicts_its_prior_is_said_and_estimated() -> None:
-    built = dh()
+    built = dh_construction()
     at = built.index("J1.eX_sin2")
-    values = np.zeros(built.size)
+    values = np.zeros(built.n_parameters)
     values[at] = 5e-6
     recording = network(faces=2, seed=2, values=values, construction=built)[0]
     found = lt.calibrate(recording, construction="dh", advise=False)

@@ -12,13 +12,13 @@ import pytest
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import Choice, EarlierCalibrations
 from ltsim.core.arrays import Floats
-from ltsim.physics.model.construction import dh
+from ltsim.physics.model.construction import dh_construction
 from tests.networks import network
 
 DETERMINED, FAR, WIDER = 47, 20.0, 100.0
 SEEN = 3.0
 """Prior sigmas: a combination that is known worse cannot be told to be 20 of them off."""
-BUILT = dh()
+BUILT = dh_construction()
 SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
 
 
@@ -26,7 +26,14 @@ def wide() -> Choice:
     """Priors so wide that they say next to nothing."""
     covariance = np.diag((WIDER * SIGMA) ** 2)[None]
     return Choice(
-        prior=EarlierCalibrations("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance, np.zeros(BUILT.size))
+        prior=EarlierCalibrations(
+            "dh",
+            BUILT.parameter_names,
+            ("",),
+            np.zeros((1, BUILT.n_parameters)),
+            covariance,
+            np.zeros(BUILT.n_parameters),
+        )
     )
 
 

@@ -15,19 +15,19 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.setup import Setup
 from tests.families import family
 
 
 def problem_of(recording) -> DistanceProblem:
-    construction = misalignment()
+    construction = misalignment_construction()
     return DistanceProblem(recording, construction, prior_sigmas(recording, construction))
 
 
 def equation_9(recording, values: np.ndarray, power: int) -> float:
     """Eq. 9 as printed, in loops; gauge pairs only in its second term."""
-    points = misalignment().point(recording.readings, values)
+    points = misalignment_construction().point(recording.readings, values)
     total = 0.0
     place = {(s, t): i for i, (s, t) in enumerate(zip(recording.station, recording.target, strict=True))}
 
@@ -46,7 +46,7 @@ def equation_9(recording, values: np.ndarray, power: int) -> float:
 
 
 def test_matrix_form_is_equation_9(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 2, 0))
+    recording = make(drawn(misalignment_construction(), 2, 0))
     problem = problem_of(recording)
     unknowns = 0.5 * stream(1, "x").standard_normal(16)
     values = unknowns * problem.prior_sigma[0]
@@ -60,7 +60,7 @@ def test_matrix_form_is_equation_9(make, drawn) -> None:
 
 
 def test_derivatives_equal_differences(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 2, 1))
+    recording = make(drawn(misalignment_construction(), 2, 1))
     problem = problem_of(recording)
     at, step = np.full(16, 0.3), 1e-3
     rows = mean_rows(problem, problem.at(at))
@@ -78,7 +78,7 @@ def test_derivatives_equal_differences(make, drawn) -> None:
 
 @pytest.mark.parametrize("method", ["distance", "distance-l1"])
 def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
-    recording = make(drawn(misalignment(), 2, 2))
+    recording = make(drawn(misalignment_construction(), 2, 2))
     found = calibrate_distance(recording, method=method)
     power = 2 if method == "distance" else 1
     least = equation_9(recording, found.values[0], power)
@@ -105,7 +105,7 @@ def test_undetermined_combinations_stay_at_zero_with_their_prior(make) -> None:
 
 
 def test_two_faces_determine_what_flips(make, drawn) -> None:
-    truth = drawn(misalignment(), 2, 3, share=2.0)
+    truth = drawn(misalignment_construction(), 2, 3, share=2.0)
     found = calibrate_distance(make(truth, faces=(1, 2)))
     index = found.names.index("vertical-index")
     assert found.sigma[0, index] < 0.2 * found.prior_sigma[0, index]
@@ -119,7 +119,7 @@ def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
     trials = 60
     score, total = [], []
     for trial in range(trials):
-        truth = drawn(misalignment(), 6, trial)
+        truth = drawn(misalignment_construction(), 6, trial)
         problem = problem_of(make(truth, trial=trial))
         found = solve_distances(problem, norm)
         error = found.unknowns - truth / problem.prior_sigma[0]
@@ -138,7 +138,7 @@ def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     origin = make(np.zeros(16), noise=0.0)
     true = calibrate_network(origin, advise=False).points
     for trial in range(40):
-        recording = make(drawn(misalignment(), 7, trial), trial=trial)
+        recording = make(drawn(misalignment_construction(), 7, trial), trial=trial)
         found = calibrate_distance(recording, advise=False)
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         scores.append((found.points - true) / sigma)

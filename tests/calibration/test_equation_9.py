@@ -10,11 +10,11 @@ import ltsim as lt
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.families import family
 from tests.networks import drawn, network
 
-BUILT = misalignment()
+BUILT = misalignment_construction()
 
 
 def problem_of(seed: int, faces: int = 1) -> DistanceProblem:

@@ -16,7 +16,7 @@ from ltsim.core.units import FACTOR
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.effects.station_settling import StationSettling
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from tests.networks import drawn, network, with_effect
 
@@ -26,7 +26,7 @@ RATE = 40e-6 / 3600
 
 @pytest.fixture(scope="module")
 def drifting() -> Recording:
-    recording = network(faces=2, seed=5, values=drawn(misalignment(), 5))[0]
+    recording = network(faces=2, seed=5, values=drawn(misalignment_construction(), 5))[0]
     readings = recording.readings + recording.sigma() * stream(5, "beside").standard_normal(recording.readings.shape)
     there = recording.station == 2
     clock = recording.time - recording.time[there].min()
@@ -136,7 +136,7 @@ def test_the_command_line_says_it_and_refuses_it_elsewhere(
     ],
 )
 def test_constants_scatter_as_much_as_is_told(wanted: str, true: Effect, values: list[float]) -> None:
-    truth = getattr(true, true.shape[0].name) / FACTOR[true.shape[0].unit]
+    truth = getattr(true, true.shape_parameters[0].name) / FACTOR[true.shape_parameters[0].unit]
     misses = []
     for seed in range(40):
         found = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
@@ -154,7 +154,7 @@ def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drif
     assert sum(e.chi2_drop for e in found.effects) > alone.effects[0].chi2_drop
     told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
     assert found.adjustment is not None
-    state, spread = found.adjustment.state.extra, np.sqrt(np.diag(found.adjustment.extra_covariance))
+    state, spread = found.adjustment.state.extra_parameters, np.sqrt(np.diag(found.adjustment.extra_covariance))
     unit = [FACTOR[p.unit] for p in told]
     assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
     assert [p.sigma for p in told] == pytest.approx(found.uncertainty_factor * spread / unit, rel=1e-6)
@@ -177,7 +177,7 @@ def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> N
     assert any(out.row == 4 and out.excluded for out in found.outliers) and found.held.any()
     told, adjusted = found.effects[0].parameters, found.adjustment
     assert adjusted is not None
-    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra, rel=1e-3, abs=1e-9)
+    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra_parameters, rel=1e-3, abs=1e-9)
     for one, value, least in zip(told, (10.0, 0.0, 750.0), (0.5, 1.0, 3.0), strict=True):
         assert abs(one.value - value) < 4 * one.sigma
         assert least < one.sigma < 10 * least

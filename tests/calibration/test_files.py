@@ -17,13 +17,13 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.units import MICRORADIAN
 from ltsim.geometry.polar import from_polar
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.setup import Instrument, Setup, Station
 
 
 @pytest.fixture(scope="module")
 def calibration(make, drawn):
-    return calibrate_network(make(drawn(misalignment(), 3, 0), faces=(1, 2)), advise=False)
+    return calibrate_network(make(drawn(misalignment_construction(), 3, 0), faces=(1, 2)), advise=False)
 
 
 def test_keys_and_units_of_the_file(calibration, tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_nothing_half_written(calibration, tmp_path: Path) -> None:
 
 
 def test_corrected_readings_are_those_of_an_ideal_tracker(make, drawn) -> None:
-    truth = drawn(misalignment(), 3, 1)
+    truth = drawn(misalignment_construction(), 3, 1)
     recording = make(truth, faces=(1, 2), noise=0.0)
     found = calibrate_network(make(truth, faces=(1, 2)), advise=False)
     exact = found.with_changes(values=truth[None], correction=None)
@@ -172,7 +172,7 @@ def test_corrected_readings_are_those_of_an_ideal_tracker(make, drawn) -> None:
 
 
 def test_a_row_without_range_is_corrected_where_its_target_is(make, drawn) -> None:
-    truth = drawn(misalignment(), 3, 2)
+    truth = drawn(misalignment_construction(), 3, 2)
     recording = make(truth, faces=(1,))
     readings = recording.readings.copy()
     readings[5, 0] = np.nan
@@ -188,7 +188,7 @@ def test_a_row_without_range_is_corrected_where_its_target_is(make, drawn) -> No
 
 
 def test_two_instruments_have_their_own_parameters(make, drawn, tmp_path: Path) -> None:
-    first, second = drawn(misalignment(), 3, 3), drawn(misalignment(), 3, 4)
+    first, second = drawn(misalignment_construction(), 3, 3), drawn(misalignment_construction(), 3, 4)
     one, two = make(first, faces=(1, 2), trial=1), make(second, faces=(1, 2), trial=1)
     later = one.station >= 2
     setup = Setup(
@@ -264,7 +264,7 @@ def test_harmonics_of_a_calibration(calibration) -> None:
 
 
 def test_points_do_not_move_by_correction(calibration, make, drawn) -> None:
-    recording = make(drawn(misalignment(), 3, 5))
+    recording = make(drawn(misalignment_construction(), 3, 5))
     corrected = correct(recording, calibration)
     values = calibration.values[0]
-    assert np.allclose(from_polar(corrected.readings), misalignment().point(recording.readings, values))
+    assert np.allclose(from_polar(corrected.readings), misalignment_construction().point(recording.readings, values))

@@ -19,11 +19,11 @@ from ltsim.calibration.schema import Fit
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.recordings import write
 
-CONSTRUCTION = misalignment()
-SIZE = CONSTRUCTION.size
+CONSTRUCTION = misalignment_construction()
+SIZE = CONSTRUCTION.n_parameters
 PRIOR = np.array([p.prior_sigma for p in CONSTRUCTION.parameters])
 SILENT = 3
 """The first parameters of the synthetic calibrations are those their readings do not touch."""
@@ -84,7 +84,7 @@ def test_a_changed_parameter_is_found_and_named():
     history = CalibrationSeries.of(
         labelled([estimate(t, d, rng) for t, d in zip((truth, truth, later, later), drawn, strict=True)])
     )
-    assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.names[5],), ()]
+    assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
     assert history.changes()[1].p_value < 1e-10
     assert history.constancy(5).p_value < 1e-6
     assert history.constancy(6).p_value > 1e-3
@@ -126,7 +126,7 @@ def test_json_holds_every_test_in_the_units_of_a_person():
     assert [c["label"] for c in content["calibrations"]] == ["c0", "c1", "c2"]
     k = 4
     row, parameter = content["parameters"][k], CONSTRUCTION.parameters[k]
-    assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.factor)
+    assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.si_per_display_unit)
     assert content["since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
 
 
@@ -150,8 +150,8 @@ def test_what_moves_from_day_to_day_is_no_event():
 def test_a_blow_stands_out_and_is_dated():
     for trial in range(2):
         history = walked(trial, blow=12.0)
-        found, size = events(history), PRIOR[6] / CONSTRUCTION.parameters[6].factor
-        assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.names[6])]
+        found, size = events(history), PRIOR[6] / CONSTRUCTION.parameters[6].si_per_display_unit
+        assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.parameter_names[6])]
         assert found[0].difference == pytest.approx(12.0 * size, rel=0.25)
         assert found[0].usual == pytest.approx(0.7 * size, rel=0.5)
         entry = History.of(history).events[0]
@@ -182,7 +182,7 @@ def test_half_a_year_may_move_what_a_day_may_not():
 
 def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
     found = events(wandered(0, blow=12.0))
-    assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.names[6])]
+    assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.parameter_names[6])]
 
 
 @pytest.mark.parametrize(
@@ -264,4 +264,4 @@ def test_half_differences_are_those_of_the_parameters(make):
     assert np.abs(raw.half[:, 2]) == pytest.approx(12e-6, abs=12e-6)
     assert raw.half[:, 0] == pytest.approx(-20e-6 * np.cos(raw.place[:, 2]), rel=1e-3)
     assert two_face(recording, CONSTRUCTION, values).rms == pytest.approx(0.0, abs=1e-10)
-    assert two_face(recording, ideal()).rms == pytest.approx(raw.rms)
+    assert two_face(recording, ideal_construction()).rms == pytest.approx(raw.rms)

@@ -35,7 +35,7 @@ def test_the_estimate_is_that_of_the_simulated_reflector() -> None:
     _, truth, calibration = calibrated()
     applied = next(entry for entry in truth.applied if isinstance(entry.effect, SmrIncidence))
     sightings = calibration.adjustment.sightings
-    true = applied.effect.shift(sightings, np.array(applied.values))[:, 0]
+    true = applied.effect.reading_change(sightings, np.array(applied.values))[:, 0]
     estimated = (SmrIncidence().design(sightings) @ calibration.applied_reflectors[""])[:, 0]
     rest = estimated - true - np.mean(estimated - true)
     assert np.std(rest) < 0.33 * np.std(true)

@@ -18,13 +18,13 @@ from ltsim.core.errors import ModelError
 from ltsim.core.probability import P_CONSTANT, SIZE_PRIOR
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Prior, Station
 from tests.families import family
 
 
 def test_without_noise_only_the_priors_pull(make, drawn) -> None:
-    truth = drawn(misalignment(), 1, 0)
+    truth = drawn(misalignment_construction(), 1, 0)
     found = calibrate_network(make(truth, faces=(1, 2), noise=0.0))
     assert found.fit.status == "converged"
     # A linear estimator with priors falls short of the truth by C P x exactly, and by nothing else.
@@ -33,7 +33,7 @@ def test_without_noise_only_the_priors_pull(make, drawn) -> None:
 
 
 def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 1, 1, share=2.0))
+    recording = make(drawn(misalignment_construction(), 1, 1, share=2.0))
     found = calibrate_network(recording)
     plain = lt.adjust(recording)
     assert found.criteria is not None
@@ -46,7 +46,7 @@ def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(m
 
 
 def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, drawn) -> None:
-    truth = drawn(misalignment(), 1, 2)
+    truth = drawn(misalignment_construction(), 1, 2)
     one, two = calibrate_network(make(truth)), calibrate_network(make(truth, faces=(1, 2)))
     worst = one.undetermined[0]
     assert worst.gain < 0.1
@@ -62,7 +62,7 @@ def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, dra
 
 
 def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> None:
-    construction = misalignment()
+    construction = misalignment_construction()
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
     covariance, prior = Network.of(adjustment).parameter_covariance()
     assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
@@ -70,7 +70,7 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
 
 
 def test_null_space_of_the_paper_chain_is_named(make) -> None:
-    found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh())
+    found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh_construction())
     silent = [c for c in found.undetermined if c.gain < 1e-6]
     alone = {next(iter(c.combination)) for c in silent if len(c.combination) == 1}
     without_effect = {f"J2.eZ_{s}" for s in ("c", "sin", "cos", "sin2", "cos2")}
@@ -81,8 +81,8 @@ def test_null_space_of_the_paper_chain_is_named(make) -> None:
 
 
 def test_both_constructions_agree_on_the_targets_of_two_faces(make, drawn) -> None:
-    recording = make(drawn(misalignment(), 1, 4), faces=(1, 2))
-    first, second = calibrate_network(recording), calibrate_network(recording, dh())
+    recording = make(drawn(misalignment_construction(), 1, 4), faces=(1, 2))
+    first, second = calibrate_network(recording), calibrate_network(recording, dh_construction())
     sigma = np.sqrt(np.einsum("tii->ti", first.target_covariance))
     assert np.abs((first.points - second.points) / sigma).max() < 0.2
 
@@ -112,7 +112,7 @@ def joint_covariance(adjustment, names=None) -> np.ndarray:
 
 
 def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
-    adjustment = adjust(make(drawn(misalignment(), 1, 5)), misalignment())
+    adjustment = adjust(make(drawn(misalignment_construction(), 1, 5)), misalignment_construction())
     unknowns, system = adjustment.problem.unknowns, adjustment.solution.system
     rows = system.design[: -adjustment.problem.free.shape[1]]  # without the datum
     # Dense: targets alone, everything else eliminated; the pseudo-inverse of a normal matrix is the datum of all.
@@ -131,12 +131,12 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     )
     assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
     assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
-    motion = rigid_motion(adjustment.state.points - adjustment.state.points.mean(axis=0))
+    motion = rigid_motion(adjustment.state.target_points - adjustment.state.target_points.mean(axis=0))
     assert np.abs(inner @ motion).max() < 1e-6 * np.abs(inner).max()
 
 
 def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
-    adjustment = adjust(make(drawn(misalignment(), 1, 6)), misalignment())
+    adjustment = adjust(make(drawn(misalignment_construction(), 1, 6)), misalignment_construction())
     chosen = np.array([0, 7, 13, 20])
     names = [adjustment.recording.targets[t] for t in chosen]
     inner, whole = joint_covariance(adjustment, names), joint_covariance(adjustment)
@@ -148,9 +148,9 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
 
 
 def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make, drawn) -> None:
-    at, off, others = misalignment().names.index("range-offset"), [], 0
+    at, off, others = misalignment_construction().parameter_names.index("range-offset"), [], 0
     for seed in range(6):
-        truth = drawn(misalignment(), 26, seed)
+        truth = drawn(misalignment_construction(), 26, seed)
         truth[at] = 60e-6
         found = calibrate_network(make(truth, faces=(1, 2), trial=seed), advise=False)
         told = [note for note in found.notes if "contradict" in note]
@@ -166,13 +166,13 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
 
 def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
     for seed in range(5):
-        found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False)
+        found = calibrate_network(make(drawn(misalignment_construction(), 27, seed), trial=seed), advise=False)
         assert not [note for note in found.notes if "contradict" in note]
 
 
 def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_too_large(make, points) -> None:
     """A correction leaves 0.3 of the guarantee; the noise is told by the readings where they scatter less."""
-    scale, found = misalignment().names.index("range-scale"), []
+    scale, found = misalignment_construction().parameter_names.index("range-scale"), []
     ends = [(k, k + 12) for k in range(12)]
     lengths = [1e3 * float(np.linalg.norm(points[a] - points[b])) for a, b in ends]
     walls = [

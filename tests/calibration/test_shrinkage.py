@@ -13,13 +13,13 @@ from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_err
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import Instrument, Noise, Prior
 from tests.families import family
 from tests.networks import drawn, mesh, network
 
-BUILT = misalignment()
+BUILT = misalignment_construction()
 SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
 NOISES = (1.0, 10.0, 50.0)
@@ -78,7 +78,7 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
     assert wrong.correction.prior_scale * factor == pytest.approx(right.correction.prior_scale, rel=0.35)
     assert right.adjustment is not None
     by_value = point_errors(right.adjustment)
-    values = truth.state.instrument[0]
+    values = truth.state.instrument_parameters[0]
     missed = wrong.applied[0] - values
     assert missed @ by_value @ missed < 0.25**2 * (values @ by_value @ values)
 
@@ -101,7 +101,7 @@ def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
         assert found.correction is not None
         assert found.adjustment is not None
         by_value = point_errors(found.adjustment)
-        gap = found.values[0] - truth.state.instrument[0]
+        gap = found.values[0] - truth.state.instrument_parameters[0]
         seen.append(gap @ by_value @ gap)
         told.append((1e-6 * found.correction.corrected_um) ** 2)
         assert found.correction.corrected_um < found.correction.uncorrected_um
@@ -113,7 +113,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     seen = []
     for seed in range(6):
         recording, truth = network(seed=seed)
-        seen.append(cloud_error(recording, measured_points(recording), truth.state.points))
+        seen.append(cloud_error(recording, measured_points(recording), truth.state.target_points))
     found = lt.calibrate(recording, advise=False)
     assert found.correction is not None
     stated = point_noise(recording, recording.sigma())
@@ -172,7 +172,7 @@ def test_what_is_left_out_by_default_makes_new_points_no_worse(stations: int, sp
 
     Where the prior says what the instrument is, nothing can beat all sixteen estimates; little may be lost.
     """
-    six = [name.startswith(("transit", "beam", "vertical")) for name in BUILT.names]
+    six = [name.startswith(("transit", "beam", "vertical")) for name in BUILT.parameter_names]
     errors = []
     for seed in range(10):
         values = drawn(BUILT, seed) * (np.array(six) / 3 if sparse else 1.0)

@@ -131,7 +131,7 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     recording = make(np.zeros(16))
     names = ("T03", "T09", "T14", "T22")
     plain, found = adjust(recording), lt.adjust(recording, datum=names)
-    unknowns, points = plain.problem.unknowns, plain.state.points
+    unknowns, points = plain.problem.unknowns, plain.state.target_points
     whole = plain.factor.covariance_columns(np.eye(unknowns.size))
     chosen = [recording.targets.index(name) for name in names]
     motion = np.zeros((unknowns.size, 6))
@@ -139,10 +139,12 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     for axis in range(3):
         turn = np.eye(3)[axis]
         motion[unknowns.target.ravel(), 3 + axis] = np.cross(turn, points).ravel()
-    motion[unknowns.pose[:, :3].ravel(), :3] = np.tile(np.eye(3), (len(plain.state.position), 1))
+    motion[unknowns.pose[:, :3].ravel(), :3] = np.tile(np.eye(3), (len(plain.state.station_positions), 1))
     for axis in range(3):
-        motion[unknowns.pose[:, :3].ravel(), 3 + axis] = np.cross(np.eye(3)[axis], plain.state.position).ravel()
-    motion[unknowns.pose[:, 3:].ravel(), 3:] = np.tile(np.eye(3), (len(plain.state.position), 1))
+        motion[unknowns.pose[:, :3].ravel(), 3 + axis] = np.cross(
+            np.eye(3)[axis], plain.state.station_positions
+        ).ravel()
+    motion[unknowns.pose[:, 3:].ravel(), 3:] = np.tile(np.eye(3), (len(plain.state.station_positions), 1))
     held = np.zeros_like(motion)
     held[unknowns.target[chosen].ravel()] = motion[unknowns.target[chosen].ravel()]
     s = np.eye(unknowns.size) - motion @ np.linalg.solve(held.T @ motion, held.T)
@@ -154,7 +156,7 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     own = np.einsum("tii->t", found.target_covariance)[chosen].sum()
     assert own < 0.9 * np.einsum("tii->t", plain.target_covariance)[chosen].sum()
     assert found.frame == "the frame of station S1, standard deviations by inner constraints over T03, T09, T14, T22"
-    np.testing.assert_allclose(found.points, plain.state.points, atol=1e-12)
+    np.testing.assert_allclose(found.points, plain.state.target_points, atol=1e-12)
 
 
 def test_a_datum_that_cannot_be_is_refused(make) -> None:

@@ -11,7 +11,7 @@ import pytest
 from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import EffectDistribution, TrialDraws
@@ -39,7 +39,7 @@ def truth_of(
 ) -> CellTruth:
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
     recording, state = workshop(faces=faces)
-    built = construction or misalignment()
+    built = construction or misalignment_construction()
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
     population = TrialDraws(
         sightings=sightings_of(recording, state),
@@ -62,7 +62,7 @@ def make_truth() -> Callable[..., CellTruth]:
 
 @pytest.fixture(scope="session")
 def engine() -> BatchCalibrator:
-    return BatchCalibrator(truth_of(), misalignment())
+    return BatchCalibrator(truth_of(), misalignment_construction())
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from ltsim.campaigns.truth import truth_of
 from ltsim.core.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.physics.effects import CATALOGUE, find_effect
-from ltsim.physics.effects.effect import Mistake, NoiseEffect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.effects.effect import Blunder, NoiseEffect
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import NormalSource
 from ltsim.simulation.fieldwork import fieldwork
@@ -46,9 +46,9 @@ def with_effect(name: str) -> Scenario:
     """The workshop with an effect drawn where such effects act; a blunder that is made."""
     kind = find_effect(name)
     entry: dict[str, Any] = {"name": name, "draw": True}
-    if issubclass(kind, Mistake):
+    if issubclass(kind, Blunder):
         seen = fieldwork(load_scenario("paper-workshop"), SEED).sightings
-        made = kind.possible(seen)[0]
+        made = kind.possible_blunders(seen)[0]
         entry = {"name": name, "values": {made.parameters[0].name: 1.0}}
         entry |= {"stations": list(made.stations), "targets": list(made.targets)}
     elif kind.scope == "station":
@@ -107,7 +107,7 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
     lt.write(lt.simulate(given, seed=SEED, trial=TRIAL, geometry=geometry).recording, tmp_path / "rec")
     found = lt.calibrate(tmp_path / "rec", method=method)
     assert row["trial"] == TRIAL
-    factor = np.array([p.factor for p in misalignment().parameters])
+    factor = np.array([p.si_per_display_unit for p in misalignment_construction().parameters])
     ours, sigma = (np.array([row[f"{what}:{name}"] for name in found.names]) for what in ("estimate", "sigma"))
     gap = (ours * factor - found.values[0]) / found.sigma[0]
     assert np.abs(gap).max() < SIGMAS
@@ -116,7 +116,7 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
 
 def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     """a8a5717 drew glass of negative thickness in half of the trials of a campaign."""
-    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.positive for p in k.parameters)]
+    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.is_positive for p in k.parameters)]
     assert {"window", "noise-level"} <= {kind.name for kind in is_nonnegative}
     for kind in is_nonnegative:
         truth = truth_of(with_effect(kind.name), 6)
@@ -155,9 +155,9 @@ def test_an_error_that_the_instrument_cannot_have_is_refused() -> None:
 def test_geometry_belongs_to_its_key() -> None:
     given = scenario()
     one, other, again = truth_of(given, 7, "a"), truth_of(given, 7, "b"), truth_of(given, 7, "a")
-    assert np.array_equal(one.state.points, again.state.points)
-    assert np.abs(one.state.points - other.state.points).max() > 1e-4
-    assert np.array_equal(one.state.position[0], np.zeros(3))
+    assert np.array_equal(one.state.target_points, again.state.target_points)
+    assert np.abs(one.state.target_points - other.state.target_points).max() > 1e-4
+    assert np.array_equal(one.state.station_positions[0], np.zeros(3))
 
 
 def test_variance_below_zero_is_refused_by_both() -> None:

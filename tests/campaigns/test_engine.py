@@ -13,9 +13,9 @@ from ltsim.adjustment.evaluation.criteria import evaluate
 from ltsim.campaigns.engine import FAILED, FULL, STATUSES, BatchCalibrator, recording_of
 from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.truth import BLOCK, CellTruth
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.physics.effects.gauge_scale import GaugeScale
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectDistribution
 from tests.networks import share_removed, target_error
@@ -27,7 +27,7 @@ class Drift(Effect):
 
     name = "drift-of-the-tests"
     number = 32
-    stage = Stage.RANGE
+    stage = LightPathStage.RANGE
     parameters = (
         Parameter("creep", "um/h", "range", 5e-6 / 3600),
         Parameter("turn", "urad/h", "azimuth", 5e-6 / 3600),
@@ -35,7 +35,13 @@ class Drift(Effect):
 
     def design(self, sightings: Sightings) -> np.ndarray:
         time = sightings.time
-        return np.stack([on_readings(sightings, distance=time), on_readings(sightings, azimuth=time)], axis=2)
+        return np.stack(
+            [
+                design_from_front_face_corrections(sightings, distance=time),
+                design_from_front_face_corrections(sightings, azimuth=time),
+            ],
+            axis=2,
+        )
 
 
 @dataclass(frozen=True)
@@ -44,14 +50,14 @@ class Bent(Drift):
 
     name = "bent-of-the-tests"
 
-    def shift(self, sightings: Sightings, values: np.ndarray) -> np.ndarray:
+    def reading_change(self, sightings: Sightings, values: np.ndarray) -> np.ndarray:
         linear: np.ndarray = self.design(sightings) @ values
         return linear + linear**2 / 1e-6
 
 
 @pytest.mark.parametrize("faces", [1, 2])
 def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTruth]) -> None:
-    engine = BatchCalibrator(make_truth(faces=faces), misalignment())
+    engine = BatchCalibrator(make_truth(faces=faces), misalignment_construction())
     block = engine.truth.draw(11, 2)
     found = engine.calibrate(block)
     assert np.all(found.status == 0)
@@ -60,14 +66,14 @@ def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTrut
 
 
 def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., CellTruth]) -> None:
-    engine = BatchCalibrator(make_truth(scale=10.0), misalignment())
+    engine = BatchCalibrator(make_truth(scale=10.0), misalignment_construction())
     block = engine.truth.draw(11, 0)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in range(0, BLOCK, 64)) < 1e-3
 
 
 def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
-    engine = BatchCalibrator(make_truth(), dh())
+    engine = BatchCalibrator(make_truth(), dh_construction())
     block = engine.truth.draw(12, 0)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in (0, 100)) < 1e-3
@@ -76,20 +82,20 @@ def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., 
 def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     sigma = np.array([10e-6, 10e-6]) / 3600
     truth = make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), sigma),))
-    engine = BatchCalibrator(truth, misalignment(), (Drift(),))
+    engine = BatchCalibrator(truth, misalignment_construction(), (Drift(),))
     block = truth.draw(13, 0)
     fit = engine.network.fit(block.deviation, block.gauge_error)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in (0, 100)) < 2e-4
-    adjusted = adjust(recording_of(truth, block, 5), misalignment(), effects=(Drift(),))
+    adjusted = adjust(recording_of(truth, block, 5), misalignment_construction(), effects=(Drift(),))
     spread = np.sqrt(np.diag(adjusted.extra_covariance))
-    assert np.all(np.abs(adjusted.state.extra - fit.extra[:, 5]) < 2e-4 * spread)
+    assert np.all(np.abs(adjusted.state.extra_parameters - fit.extra[:, 5]) < 2e-4 * spread)
     assert np.all(np.abs(fit.extra[:, 5] - block.amounts[0][:, 5]) < 5 * spread)
 
 
 def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
-    engine = BatchCalibrator(truth, misalignment(), (GaugeScale(),))
+    engine = BatchCalibrator(truth, misalignment_construction(), (GaugeScale(),))
     block = truth.draw(20, 0)
     block.gauge_error[:] += 1e-4 * np.array([d.length_mm * 1e-3 for d in truth.recording.gauge.distance])[:, None]
     found = engine.calibrate(block)
@@ -118,7 +124,7 @@ def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibr
     assert np.isfinite(found.values).all()
     single, _, _ = engine.single.solved(recording_of(engine.truth, block, 3))
     assert single is not None and single.gross[17]
-    assert np.array_equal(found.values[:, :, 3], single.state.instrument)
+    assert np.array_equal(found.values[:, :, 3], single.state.instrument_parameters)
 
 
 def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> None:
@@ -146,15 +152,17 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
                     assert columns[f"{kind}_{when}_{which}_um"][k] == pytest.approx(single, rel=1e-7)
         shares = share_removed(
             recording,
-            truth.state.points,
+            truth.state.target_points,
             engine.construction,
             calibrated=found.values[0, :, k],
             true_parameters=block.values[0, :, k],
         )
         assert columns["error_raw_um"][k] == pytest.approx(1e6 * shares.raw, rel=1e-7)
         assert columns["error_calibrated_um"][k] == pytest.approx(1e6 * shares.calibrated, rel=1e-7)
-        points = truth.state.points + found.points[:, :, k]
-        assert columns["target_error_um"][k] == pytest.approx(1e6 * target_error(points, truth.state.points), rel=1e-7)
+        points = truth.state.target_points + found.points[:, :, k]
+        assert columns["target_error_um"][k] == pytest.approx(
+            1e6 * target_error(points, truth.state.target_points), rel=1e-7
+        )
 
 
 def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -> None:
@@ -178,7 +186,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
         block = silent.draw(18, 0)
         for k in (0, 200):
             exact = truth.construction.readings(truth.sightings.local, truth.recording.face, block.values[0, :, k])
-            exact = exact + effect.shift(truth.sightings, block.amounts[0][:, k])
+            exact = exact + effect.reading_change(truth.sightings, block.amounts[0][:, k])
             gap = silent.readings(block, k) - exact
             gap[:, 1:] = np.arctan2(np.sin(gap[:, 1:]), np.cos(gap[:, 1:]))
             assert np.abs(gap).max() < 5e-12

@@ -42,7 +42,7 @@ def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
     for station in range(5):
         mine = recording.station == station
         cloud = from_polar(truth.readings(block, 0)[mine])
-        goal = truth.state.points[recording.target[mine]]
+        goal = truth.state.target_points[recording.target[mine]]
         total.append(np.sum((on_points(cloud, goal) - goal) ** 2, axis=1))
     expected = MICRO * np.sqrt(np.concatenate(total).mean())
     assert judge.before(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
@@ -65,14 +65,14 @@ def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
 def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
     truth = truth_of(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
     judge, draw = TrialEvaluator(truth), np.random.default_rng(5)
-    points = 1e-5 * draw.standard_normal((*truth.state.points.shape, 4))
+    points = 1e-5 * draw.standard_normal((*truth.state.target_points.shape, 4))
     whole = judge.target_error(points)
     lost = points.copy()
     lost[7, :, 2] = np.nan
     found = judge.target_error(lost)
     assert np.array_equal(found[[0, 1, 3]], whole[[0, 1, 3]])
     kept = np.arange(len(points)) != 7
-    true = truth.state.points[kept]
+    true = truth.state.target_points[kept]
     gap = on_points(true + points[kept][:, :, 2], true) - true
     assert found[2] == pytest.approx(MICRO * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
     lost[:, :, 1] = np.nan

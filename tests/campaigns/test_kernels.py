@@ -17,9 +17,9 @@ from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import BLOCK, CellTruth
 from ltsim.geometry.polar import wrap
-from ltsim.physics.model.construction import dh, misalignment
+from ltsim.physics.model.construction import dh_construction, misalignment_construction
 
-CONSTRUCTIONS = {"misalignment": misalignment, "dh": dh, "dh-4": lambda: dh(4)}
+CONSTRUCTIONS = {"misalignment": misalignment_construction, "dh": dh_construction, "dh-4": lambda: dh_construction(4)}
 
 
 @pytest.mark.parametrize("faces", [1, 2])
@@ -59,7 +59,7 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
 
 def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
-    program = ChainProgram.of(misalignment(), truth.recording.readings)
+    program = ChainProgram.of(misalignment_construction(), truth.recording.readings)
     assert len(program.turns) == 8
     assert sorted(program.fed) == list(range(16))
 

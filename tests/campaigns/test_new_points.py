@@ -17,7 +17,7 @@ from ltsim.campaigns.schema import COLUMNS, column_of
 from ltsim.campaigns.spec import Campaign, judge_of
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.physics.effects import CATALOGUE
-from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, load_scenario
 from tests.networks import share_removed
@@ -31,11 +31,11 @@ class SlowWarp(Effect):
     """Elevation creeps with time: an effect of this session, without a card or a package."""
 
     name = "slow-warp"
-    stage = Stage.ENCODERS
+    stage = LightPathStage.ENCODERS
     parameters = (Parameter("rate", "urad/h", "elevation", 20e-6 / 3600),)
 
     def design(self, sightings: Sightings) -> np.ndarray:
-        return on_readings(sightings, elevation=sightings.time)[:, :, None]
+        return design_from_front_face_corrections(sightings, elevation=sightings.time)[:, :, None]
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +72,10 @@ def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: 
         seen, truth = lt.simulate(room, seed=9, trial=trial, changes={"instrument.errors": exact})
         built = lt.calibrate(lt.simulate(PAPER, seed=4).recording).construction
         values = np.array(
-            [found[f"estimate:{n}"][trial] * p.factor for n, p in zip(names, built.parameters, strict=True)]
+            [
+                found[f"estimate:{n}"][trial] * p.si_per_display_unit
+                for n, p in zip(names, built.parameters, strict=True)
+            ]
         )
         true = np.array([truth.instrument[n] for n in names])
         judged = share_removed(seen, truth.points, built, calibrated=values, true_parameters=true)
@@ -123,7 +126,7 @@ def test_what_calibrate_fits_is_taken_out_of_what_it_improves() -> None:
 
 
 def test_an_effect_of_the_session_is_checked() -> None:
-    assert SlowWarp in CATALOGUE and CATALOGUE.of_session == (SlowWarp,)
+    assert SlowWarp in CATALOGUE and CATALOGUE.session_effects == (SlowWarp,)
     with pytest.raises(ModelError, match="not a class derived from"):
         lt.add_effect(int)
     with pytest.raises(ModelError, match="has an effect 'head-sag' already"):

@@ -39,7 +39,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     dof = engine.network.problem.dof
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / found.chi2.size)
-    points = truth.state.points
+    points = truth.state.target_points
     moved = np.stack([on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)])
     assert np.sqrt(np.mean((moved / engine.sigma_targets) ** 2)) == pytest.approx(1.0, abs=0.06)
     columns = TrialEvaluator(truth).before(block)
@@ -60,7 +60,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     known = np.sqrt(np.diag(np.linalg.inv(fast.information[0]))) * slow.prior_sigma
     np.testing.assert_allclose(known, slow.instrument_sigma, rtol=1e-6)
     found = BatchCalibrator(truth, built).calibrate(truth.draw(5, 0))
-    points = truth.state.points
+    points = truth.state.target_points
     errors = [on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)]
     achieved = np.sqrt(np.mean(np.sum(np.square(errors), axis=2)))
     assert achieved / slow.target_rms == pytest.approx(1.0, abs=0.07)

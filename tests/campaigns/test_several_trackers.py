@@ -24,7 +24,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     block = truth.draw(4, 0, 64)
     assert block.values.shape == (2, 16, 64)
     for i, name in enumerate(truth.recording.instruments):
-        for k, parameter in enumerate(truth.construction.names):
+        for k, parameter in enumerate(truth.construction.parameter_names):
             drawn = stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
             drawn[0] = stream(4, "instrument", name, parameter).standard_normal()
             np.testing.assert_array_equal(block.values[i, k], truth.population.sigma[i, k] * drawn)

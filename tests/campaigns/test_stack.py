@@ -12,7 +12,7 @@ from ltsim.campaigns.engine import BatchCalibrator, Calibrated
 from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import changed, load_scenario
 
 TRIALS = 5
@@ -32,16 +32,20 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     block = stack.draw_trials(8, numbers)
     calibrator = StackCalibrator.of(Method(), stack)
     found, together = calibrator.calibrate(block, np.arange(TRIALS)), TrialEvaluator(stack)
-    columns = together.after(block, found, misalignment())
+    columns = together.after(block, found, misalignment_construction())
     assert np.all(found.status == 0)
     assert len(np.unique(stack.rows, axis=1).T) == TRIALS
     for k, truth in truths.items():
-        own, engine, judge = truth.draw(8, k, 1), BatchCalibrator(truth, misalignment()), TrialEvaluator(truth)
+        own, engine, judge = (
+            truth.draw(8, k, 1),
+            BatchCalibrator(truth, misalignment_construction()),
+            TrialEvaluator(truth),
+        )
         assert np.abs(own.deviation - block.alone[k].deviation).max() < 1e-12
         theirs = engine.calibrate(own)
         assert found.sigma[:, :, k] == pytest.approx(theirs.sigma, rel=1e-9)
         assert np.abs(found.values[:, :, k] - theirs.values[:, :, 0]).max() < 1e-4 * theirs.sigma.min()
-        expected = judge.after(own, theirs, misalignment())
+        expected = judge.after(own, theirs, misalignment_construction())
         for column, value in expected.items():
             assert columns[column][k] == pytest.approx(value[0], rel=1e-5), column
     assert calibrator.difference(block, 2, found) < 1e-3

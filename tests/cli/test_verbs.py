@@ -16,7 +16,7 @@ import ltsim.cli
 from ltsim.cli.main import VERBS, run
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import aligned
-from ltsim.physics.effects import CATALOGUE, card_of
+from ltsim.physics.effects import CATALOGUE, catalogue_entry
 from ltsim.recordings import read
 from ltsim.simulation.truth import read_truth
 
@@ -184,7 +184,7 @@ def test_effects_lists_the_whole_catalogue(capsys) -> None:
 def test_the_card_of_every_effect(effect, capsys) -> None:
     assert run(["effects", effect.name]) == 0
     text = capsys.readouterr().out
-    assert text.startswith(f"{effect.name}: {card_of(effect).title} (")
+    assert text.startswith(f"{effect.name}: {catalogue_entry(effect).title} (")
     assert "Source" in text
     assert all(p.name in text for p in effect.parameters)
 

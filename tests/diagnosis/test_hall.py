@@ -16,7 +16,7 @@ from ltsim.diagnosis.noise import NoiseBank, most_likely, noise_hypotheses
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.heat_plume import HeatPlume
 from ltsim.physics.effects.motions import exact_target_change
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
 from ltsim.scene.regions import Region
 from tests.networks import network
@@ -26,7 +26,7 @@ from tests.networks import network
 def clean() -> tuple[Recording, Adjustment]:
     """A recording of a network with noise alone, and its adjustment."""
     recording, _ = network(faces=2, seed=3)
-    return recording, adjust(recording, misalignment())
+    return recording, adjust(recording, misalignment_construction())
 
 
 def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float) -> tuple[Finding, float]:
@@ -56,7 +56,7 @@ def middle_of_the_lines(adjustment: Adjustment, axes: str) -> tuple[float, ...]:
 def test_a_heat_plume_that_stands_in_the_hall_is_named_and_placed(clean) -> None:
     place = middle_of_the_lines(clean[1], "xyz")
     plume = HeatPlume((), (), place, 0.4)
-    finding, kelvin = changed(clean, plume.shift(clean[1].sightings, np.array([1.0])), 300.0)
+    finding, kelvin = changed(clean, plume.reading_change(clean[1].sightings, np.array([1.0])), 300.0)
     assert finding.effect == "heat-plume" and not finding.where.stations and not finding.where.targets
     for (value, sigma), true in zip(centre(finding).values(), place, strict=True):
         assert abs(value - true) < min(0.5, 4.0 * sigma + 0.1)
@@ -89,7 +89,7 @@ def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None
 @pytest.mark.long
 def test_a_gauge_that_moves_once_is_one_group() -> None:
     recording, _ = network(faces=2, seed=3)
-    adjustment = adjust(recording, misalignment())
+    adjustment = adjust(recording, misalignment_construction())
     names = sorted({name for d in recording.gauge.distance for name in (d.from_, d.to)})
     sightings = adjustment.sightings
     group = np.isin(sightings.target, [sightings.target_names.index(name) for name in names])

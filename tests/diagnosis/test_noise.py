@@ -15,8 +15,8 @@ from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.noise_groups import FACTORS
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.physics.effects.turbulence import Turbulence
-from ltsim.physics.laws.variance import BOTH_FACES, VarianceFunction
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.laws.variance import REPEATS_IN_BOTH_FACES, VarianceFunction
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network
 
 
@@ -24,7 +24,7 @@ from tests.networks import network
 def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    space = ResidualSpace.of(adjust(recording, misalignment_construction(), start=truth.state))
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
@@ -193,13 +193,13 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
 
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    space = ResidualSpace.of(adjust(recording, misalignment_construction(), start=truth.state))
     assert repeat_means(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    space = ResidualSpace.of(adjust(recording, misalignment_construction(), start=truth.state))
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
@@ -215,6 +215,6 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         evidence = evidence_of(bank, left, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more["alike"] > 10.0 > -10.0 > more["each"]
-    found = VarianceFunction(("distance",), repeating=BOTH_FACES)
-    assert (found.carrier, found.driver) == ("distance", "station and target")
-    assert "in both faces" in found.law
+    found = VarianceFunction(("distance",), repetition=REPEATS_IN_BOTH_FACES)
+    assert (found.response_text, found.regressor_text) == ("distance", "station and target")
+    assert "in both faces" in found.text

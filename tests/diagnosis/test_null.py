@@ -12,7 +12,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network
 
 DRAWS, SEEDS = 300, 3
@@ -31,7 +31,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
-    space = ResidualSpace.of(adjust(network(seed=2, stations=3)[0], misalignment()))
+    space = ResidualSpace.of(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
     chances = []
     for seed in range(SEEDS):
         searcher = Searcher(space, seed, 300)

@@ -12,17 +12,17 @@ from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_result
 from tests.networks import drawn, network
 
-ERRORS = drawn(misalignment(), 7)
+ERRORS = drawn(misalignment_construction(), 7)
 
 
 def epoch(seed: int, shift: tuple[str, tuple[float, float, float]] | None = None) -> Adjustment:
-    return adjust(recorded(seed, shift), misalignment())
+    return adjust(recorded(seed, shift), misalignment_construction())
 
 
 def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = None) -> Recording:
@@ -31,10 +31,12 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     if shift is None:
         return recording
     clean, _ = network(values=ERRORS)
-    found = adjust(clean, misalignment(), start=truth.state)
-    points = truth.state.points.copy()
+    found = adjust(clean, misalignment_construction(), start=truth.state)
+    points = truth.state.target_points.copy()
     points[recording.targets.index(shift[0])] += shift[1]
-    moved = type(truth.state)(truth.state.position, truth.state.rotation, points, truth.state.instrument)
+    moved = type(truth.state)(
+        truth.state.station_positions, truth.state.station_rotations, points, truth.state.instrument_parameters
+    )
     model = found.problem.model
     return recording.with_readings(recording.readings + model.predict(moved) - model.predict(truth.state))
 
@@ -92,7 +94,7 @@ def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
         }
     )
     grown = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": gauge}))
-    found = compare(epoch(1), adjust(grown, misalignment()), scaled=True)
+    found = compare(epoch(1), adjust(grown, misalignment_construction()), scaled=True)
     assert found.scale_ppm == pytest.approx(20, abs=6)
     assert not found.moved
 

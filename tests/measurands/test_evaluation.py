@@ -20,7 +20,7 @@ from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.propagation import draw, expansion_of, propagate, shortest_intervals
 from ltsim.measurands.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
 from ltsim.measurands.uncertainty import Uncertainty, compared, conformity, normalised_error
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.recording import ENDINGS
 from ltsim.recordings.result_file import read_result
@@ -50,7 +50,7 @@ def tasks(**changes: Any) -> Tasks:
 
 @cache
 def evaluated() -> Evaluation:
-    recording, _ = network(faces=2, seed=3, values=drawn(misalignment(), 7))
+    recording, _ = network(faces=2, seed=3, values=drawn(misalignment_construction(), 7))
     return evaluate_tasks(recording, tasks())
 
 
@@ -82,7 +82,7 @@ def test_a_datum_of_targets_reaches_the_points() -> None:
     recording, _ = network(seed=3)
     names = ("T01", "T05", "T12", "T20")
     found = Inputs.of(recording, tasks(datum=names, type_b=[]))
-    expected = adjust(recording, misalignment(), datum=names).target_covariance
+    expected = adjust(recording, misalignment_construction(), datum=names).target_covariance
     for i, name in enumerate(found.targets):
         block = found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(block, expected[recording.targets.index(name)], atol=1e-4 * block.max())
@@ -107,7 +107,7 @@ def test_it_is_said_where_linear_propagation_fails() -> None:
 
 def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget() -> None:
     """Readings are drawn with noise and with the type B effects, each adjusted anew, exactly."""
-    recording, _ = network(seed=None, values=drawn(misalignment(), 7))
+    recording, _ = network(seed=None, values=drawn(misalignment_construction(), 7))
     with_weather = tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1])
     inputs = Inputs.of(recording, with_weather)
     measurand = Measurand.of(with_weather.task[0], inputs.targets, inputs.points)
@@ -125,7 +125,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust(again, misalignment(), start=inputs.origin.state).state.points
+            points = adjust(again, misalignment_construction(), start=inputs.origin.state).state.target_points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))
     # The standard deviation of 60 draws is known to 9 %; three of that.

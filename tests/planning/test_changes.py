@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
@@ -53,16 +53,18 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     places, names = wall_places()
     where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     objective = Objective(weights)
-    found = reflector_changes(where, where.survey, STAYS, objective, misalignment())
+    found = reflector_changes(where, where.survey, STAYS, objective, misalignment_construction())
     assert {change.do for change in found.reported} == {"move", "add", "remove"}
-    before = measure(where.survey, objective, misalignment())[0]
+    before = measure(where.survey, objective, misalignment_construction())[0]
     for change in found.reported[::3]:
         made = changed(where.survey, change)
         common = [name for name in where.survey.target_names if name in made.target_names]
         gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
         assert change.gain_um == pytest.approx(gain, abs=1e-3)
         if INSTRUMENT in weights:
-            assert change.quality == pytest.approx(measure(made, objective, misalignment())[0] / before, rel=1e-6)
+            assert change.quality == pytest.approx(
+                measure(made, objective, misalignment_construction())[0] / before, rel=1e-6
+            )
         else:
             assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
     moves = [change.quality for change in found.reported if change.do == "move"]
@@ -73,12 +75,12 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
 def test_what_was_tried_and_did_not_help_is_said() -> None:
     places, names = wall_places()
     where = site(nests=places, nest_names=names, reflector_spacing=0.5)
-    made = choose_reflectors(where, where.survey, STAYS, Objective(), misalignment())
-    found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment())
+    made = choose_reflectors(where, where.survey, STAYS, Objective(), misalignment_construction())
+    found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment_construction())
     assert found.helped["move"] == 0, "the exchange has made every move that helps"
     assert found.tried["move"] > 300
     assert f"{found.tried['move']} moves of a reflector (0 help)" in found.summary
-    alone = reflector_changes(site(), site().survey, STAYS, Objective(), misalignment())
+    alone = reflector_changes(site(), site().survey, STAYS, Objective(), misalignment_construction())
     assert alone.tried == {"move": 0, "add": 0, "remove": 24}
     assert "give candidates" in alone.summary
 
@@ -86,7 +88,7 @@ def test_what_was_tried_and_did_not_help_is_said() -> None:
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     places, names = wall_places()
     where = site(nests=places, nest_names=names, reflector_spacing=0.5)
-    made = choose_reflectors(where, where.survey, STAYS, Objective({TARGETS: 1.0}), misalignment())
+    made = choose_reflectors(where, where.survey, STAYS, Objective({TARGETS: 1.0}), misalignment_construction())
     assert LayoutInformation.of(made).target_rms < 0.9 * LayoutInformation.of(where.survey).target_rms
 
 
@@ -102,7 +104,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         where = site_of(file, scenario, stations=4, faces=1).replace(min_sights=1)
         survey = where.survey.replace(visible=where.visible(where.survey.position))
         stays = fixed_of(file, scenario, survey)
-        found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment())
+        found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment_construction())
         assert staying(file, scenario).all(), "the search leaves the points of a list where they are"
         assert {what for what, count in found.tried.items() if count} == {
             "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},

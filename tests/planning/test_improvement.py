@@ -10,8 +10,8 @@ from ltsim.adjustment.evaluation.criteria import evaluate
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.range_cyclic import RangeCyclic
-from ltsim.physics.model.construction import misalignment
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.planning.information import LayoutInformation, Predictor, expected_length
 from tests.planning.fixtures import survey
 
@@ -28,7 +28,7 @@ def test_expected_length_of_a_normal_vector() -> None:
 @pytest.mark.long
 def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     """Noise, known lengths, instrument and an effect that the calibration does not know are drawn anew each time."""
-    made, construction = survey((1,)), misalignment()
+    made, construction = survey((1,)), misalignment_construction()
     effect = RangeCyclic(wavelength=0.9)
     information = LayoutInformation.of(made)
     expected = Predictor.of(information, [effect]).expected({"angle errors": 0.5, "range-cyclic": 0.5})
@@ -39,9 +39,9 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     for trial in range(TRIALS):
         rng = stream(11, "trial", trial)
         values = rng.normal(size=16) * information.prior_sigma * scale
-        state = State(made.position, made.rotation, made.points, values[None])
+        state = NetworkState(made.position, made.rotation, made.points, values[None])
         readings = MeasurementModel(clean, construction).predict(state)
-        readings = readings + effect.shift(information.adjustment.sightings, rng.normal(size=len(size)) * size)
+        readings = readings + effect.reading_change(information.adjustment.sightings, rng.normal(size=len(size)) * size)
         readings = readings + rng.normal(size=readings.shape) * clean.sigma()
         gauge = clean.gauge
         lengths = tuple(
@@ -49,7 +49,7 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         )
         setup = clean.setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": lengths})})
         recording = clean.with_readings(readings).replace(setup=setup)
-        criteria = evaluate(recording, construction, adjust(recording, construction).state.instrument[0])
+        criteria = evaluate(recording, construction, adjust(recording, construction).state.instrument_parameters[0])
         after = criteria.distance.after, criteria.coordinate.after
         assert after[0] is not None
         assert after[1] is not None

@@ -14,7 +14,7 @@ from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather
-from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.planning.fast import LayoutScorer, NormalBlocks
 from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.objective import smallest_sizes
@@ -33,9 +33,9 @@ def test_information_is_that_of_the_solved_recording() -> None:
     """Noise moves the state by micrometres: the covariance at the optimum is the one predicted before."""
     made = survey()
     information = LayoutInformation.of(made)
-    recording = made.recording(misalignment())
+    recording = made.recording(misalignment_construction())
     noise = stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
-    solved = adjust(recording.with_readings(recording.readings + noise), misalignment())
+    solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
     sigma = np.sqrt(np.diag(solved.instrument_covariance))
     assert information.instrument_sigma == pytest.approx(sigma, rel=1e-3)
     trace = np.einsum("tii->t", solved.in_inner_datum().target_covariance)
@@ -49,7 +49,7 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
         left = direction.vector @ information.scaled_covariance @ direction.vector
         assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
         assert direction.gain < 0.5
-    first = information.undetermined[0].coefficients(information.construction.names)
+    first = information.undetermined[0].coefficients(information.construction.parameter_names)
     assert {"vertical-index", "elevation-eccentricity-cos"} <= set(first)
     assert "both faces" in information.cures()[0]
 
@@ -89,9 +89,9 @@ def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() ->
     made = survey()
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in made.station_names[:3]}
     made = made.replace(setup=made.setup.model_copy(update={"stations": stations}))
-    reducer = LayoutScorer(made, ideal())
+    reducer = LayoutScorer(made, ideal_construction())
     out = reducer.reduce(reducer.blocks(made.position, made.yaw), np.arange(5)[None], targets=True)
-    assert out.target_rms[0] == pytest.approx(LayoutInformation.of(made, ideal()).target_rms, rel=1e-9)
+    assert out.target_rms[0] == pytest.approx(LayoutInformation.of(made, ideal_construction()).target_rms, rel=1e-9)
 
 
 def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
@@ -126,7 +126,7 @@ def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     made = survey()
     from ltsim.physics.effects import BASELINE
 
-    others = misalignment(e for e in BASELINE if e.name != "range-offset")
+    others = misalignment_construction(e for e in BASELINE if e.name != "range-offset")
     reducer = LayoutScorer(made, others, [RangeOffset()])
     out = reducer.reduce(reducer.blocks(made.position, made.yaw, np.arange(5)), np.arange(5)[None])
     own = np.linalg.inv(out.information[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2

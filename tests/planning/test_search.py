@@ -12,7 +12,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.station_weather import StationWeather
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
@@ -209,7 +209,7 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
     names = tuple(f"P{i}" for i in range(len(places)))
     where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     stays = np.arange(28) >= 24
-    made = choose_reflectors(where, where.survey, stays, Objective(), misalignment())
+    made = choose_reflectors(where, where.survey, stays, Objective(), misalignment_construction())
     before = d_criterion(LayoutInformation.of(where.survey).scaled_covariance)
     after = d_criterion(LayoutInformation.of(made).scaled_covariance)
     assert after < 0.97 * before

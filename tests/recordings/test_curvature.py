@@ -82,7 +82,7 @@ def test_the_coefficient_of_refraction_is_estimated(tmp_path: Path, refraction: 
     assert sum("coefficient of refraction" in note for note in recording.notes) == 1
     adjusted = adjust(recording)
     assert 0.7 < adjusted.sigma0 < 1.3
-    (difference,) = adjusted.state.extra
+    (difference,) = adjusted.state.extra_parameters
     assert 0.13 + difference == pytest.approx(refraction, abs=0.05)
     straight = recording.replace(setup=recording.setup.model_copy(update={"refraction": None}))
     assert (adjust(straight).chi2 > adjusted.chi2 + 50.0) == (refraction > 0.2)
@@ -91,7 +91,7 @@ def test_the_coefficient_of_refraction_is_estimated(tmp_path: Path, refraction: 
 def test_a_declared_coefficient_stays(tmp_path: Path) -> None:
     recording = read(survey(tmp_path, further="refraction = [0.3, 0.01]", refraction=0.3), hints=hints(tmp_path))
     assert recording.setup.refraction == (0.3, 0.01)
-    assert adjust(recording).state.extra == pytest.approx([0.0], abs=0.03)
+    assert adjust(recording).state.extra_parameters == pytest.approx([0.0], abs=0.03)
 
 
 @pytest.mark.parametrize(("size", "further"), [(0.003, ""), (1.0, "curved = false")])

@@ -127,7 +127,7 @@ def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_a
     range_, elevation = r.readings[:, 0], r.readings[:, 2]
     sigma = 2e-5 * np.stack([np.ones(len(r)), 1 / (range_ * np.cos(elevation)), 1 / range_], axis=1)
     polar = adjust(r, sigma=sigma)
-    np.testing.assert_allclose(found.adjustment.state.points, polar.state.points, atol=1e-8)
+    np.testing.assert_allclose(found.adjustment.state.target_points, polar.state.target_points, atol=1e-8)
     folder = tmp_path / "folder"
     folder.mkdir()
     for name in r.stations:
@@ -138,7 +138,7 @@ def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_a
     asked = str(refused.value).partition('--columns "')[2].rstrip('"')
     assert asked == "target=1,x=2[mm],y=3[mm],z=4[mm]"
     again = read(folder, hints=Hints(columns=asked))
-    np.testing.assert_allclose(adjust(again, sigma=sigma).state.points, polar.state.points, atol=1e-8)
+    np.testing.assert_allclose(adjust(again, sigma=sigma).state.target_points, polar.state.target_points, atol=1e-8)
 
 
 def test_names_that_differ_by_set_up(tmp_path: Path) -> None:

@@ -237,7 +237,7 @@ def test_the_girder_comes_out_where_its_authors_have_it(epoch: int, date: str) -
     if not folder.is_dir():
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(folder / f"Polar_measurements_{date}.txt", hints=CLOCKWISE)
-    points = adjust(recording, robust=True).state.points
+    points = adjust(recording, robust=True).state.target_points
     lines = (
         line.replace(",", " ").split() for line in (folder / f"Results_Epoch_{epoch}.txt").read_text().splitlines()
     )

@@ -16,7 +16,7 @@ from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_c
 from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, from_prior, run_trials
 from ltsim.campaigns.scoring import NetworkScore, Trial
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
@@ -38,10 +38,10 @@ def run_recovery(name: str, trials: int, **settings) -> Recovery:
 
 def flipped(slot: str) -> Construction:
     """The misalignment construction with the sign of one motion's error turned round."""
-    construction = misalignment()
-    chain = tuple(dataclasses.replace(m, sign=-m.sign) if m.slot == slot else m for m in construction.chain)
-    assert chain != construction.chain
-    return dataclasses.replace(construction, chain=chain)
+    construction = misalignment_construction()
+    chain = tuple(dataclasses.replace(m, sign=-m.sign) if m.slot == slot else m for m in construction.kinematic_chain)
+    assert chain != construction.kinematic_chain
+    return dataclasses.replace(construction, kinematic_chain=chain)
 
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", builtin_names())
@@ -110,7 +110,7 @@ def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
 def test_a_parameter_that_the_model_lacks_fails() -> None:
     from ltsim.physics.effects import BASELINE
 
-    without = misalignment(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
+    without = misalignment_construction(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
     failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failures()
     assert "chi-square" in {failure.what for failure in failures}
 
@@ -226,9 +226,9 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found = calibrate_network(recording, advise=False)
         true = np.array([truth.instrument[name] for name in found.names])
         held = found.adjustment.state  # the first station stands where it was put; the truth is moved there
-        turn = truth.rotation[0] @ held.rotation[0].T
-        points = (truth.points - truth.position[0]) @ turn + held.position[0]
-        place = (truth.position[1:] - truth.position[0]) @ turn + held.position[0]
+        turn = truth.rotation[0] @ held.station_rotations[0].T
+        points = (truth.points - truth.position[0]) @ turn + held.station_positions[0]
+        place = (truth.position[1:] - truth.position[0]) @ turn + held.station_positions[0]
         stood = np.array([s.position for s in found.stations[1:]])
         errors.append(
             np.concatenate([found.values[0] - true, (found.points - points).ravel(), (stood - place).ravel()])

@@ -21,7 +21,7 @@ from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.recordings import write
 from ltsim.recordings.recording import Recording
@@ -34,7 +34,7 @@ from tests.networks import STATIONS, YAWS, drawn, network
 @cache
 def recording() -> Recording:
     """The test network in two faces with noise, instrument errors and a floor plan."""
-    made, _ = network(faces=2, seed=4, values=drawn(misalignment(), 7))
+    made, _ = network(faces=2, seed=4, values=drawn(misalignment_construction(), 7))
     plan = {
         name: Station(position_mm=place, yaw_deg=float(np.degrees(yaw)))
         for name, place, yaw in zip(made.stations, (1e3 * STATIONS).tolist(), YAWS, strict=True)
@@ -51,7 +51,7 @@ def before() -> Adjustment:
 @cache
 def after() -> Adjustment:
     """The network adjusted with them."""
-    return adjust(recording(), misalignment())
+    return adjust(recording(), misalignment_construction())
 
 
 @cache
@@ -215,7 +215,7 @@ def plan_folder(folder: Path) -> Path:
 def _history() -> CalibrationSeries:
     named = []
     for number, label in enumerate(("tracker_jan", "tracker_may", "tracker_sep")):
-        values = drawn(misalignment(), 7 if number < 2 else 8)
+        values = drawn(misalignment_construction(), 7 if number < 2 else 8)
         made, _ = network(faces=2, seed=1 + number, values=values)
         named.append((label, calibrate_network(made, advise=False)))
     return CalibrationSeries.of(named)

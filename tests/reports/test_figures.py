@@ -61,9 +61,15 @@ def parameters() -> list[ParameterEntry]:
     sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
     return [
         ParameterEntry(
-            name=p.name, value=v / p.factor, sigma=s / p.factor, unit=p.unit, prior_sigma=p.prior_sigma / p.factor
+            name=p.name,
+            value=v / p.si_per_display_unit,
+            sigma=s / p.si_per_display_unit,
+            unit=p.unit,
+            prior_sigma=p.prior_sigma / p.si_per_display_unit,
         )
-        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
+        for p, v, s in zip(
+            adjusted.construction.parameters, adjusted.state.instrument_parameters[0], sigma, strict=True
+        )
     ]
 
 

@@ -12,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.campaigns.truth import truth_of
 from ltsim.core.errors import SetupError
 from ltsim.geometry.alignment import best_fit
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.workshop import survey_of
 from ltsim.recordings.setup import Target
 from ltsim.simulation.truth import Truth
@@ -65,7 +65,7 @@ def test_a_level_tells_nothing_of_ranges() -> None:
     """Levels tie an axis that no range sees: the network keeps its six free motions, instruments stand upright."""
     levels = {f"stations.S{i}.levelled": True for i in range(1, 6)}
     recording, _ = lt.simulate(lt.scenario("paper-workshop", {**RANGES, **levels}), seed=3)
-    found = adjust(recording, misalignment())
+    found = adjust(recording, misalignment_construction())
     assert found.problem.free.shape[1] == 6
     assert not len(found.problem.levels)
-    np.testing.assert_allclose(found.state.rotation[:, 2, 2], 1.0, atol=1e-9)
+    np.testing.assert_allclose(found.state.station_rotations[:, 2, 2], 1.0, atol=1e-9)

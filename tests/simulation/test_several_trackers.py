@@ -11,7 +11,7 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.workshop import survey_of
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.simulation.fieldwork import fieldwork
@@ -31,7 +31,7 @@ def two(**changes: Any) -> Scenario:
 def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_of_it() -> None:
     alone, truth = simulate(PAPER, 7)
     prior = PAPER.instrument.prior
-    for p in misalignment().parameters:
+    for p in misalignment_construction().parameters:
         assert truth.instrument[p.name] == p.sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
     second = {"instruments.B.errors.draw": True, "stations.S5.instrument": "B"}
     beside, both = simulate(changed(PAPER, second, Path("paper.toml")), 7)
@@ -39,7 +39,7 @@ def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_
     assert beside.readings[own].tobytes() == alone.readings[own].tobytes()
     assert beside.readings[~own].tobytes() != alone.readings[~own].tobytes()
     assert {name: both.instrument[name] for name in truth.instrument} == truth.instrument
-    tilt = next(p for p in misalignment().parameters if p.name == "beam-tilt")
+    tilt = next(p for p in misalignment_construction().parameters if p.name == "beam-tilt")
     draw = stream(7, "instrument", "B", "beam-tilt").standard_normal()
     assert both.instrument["beam-tilt@B"] == tilt.sigma_from(prior) * draw
 

@@ -13,7 +13,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE
 from ltsim.geometry.polar import to_polar, wrap
 from ltsim.physics.effects import CATALOGUE, Effect, find_effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.simulation.fieldwork import fieldwork
@@ -70,7 +70,9 @@ def test_face_order_per_target_and_per_station() -> None:
 
 def test_the_instrument_is_exact_in_both_directions() -> None:
     work = fieldwork(with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2)
-    values = np.array([{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.names])
+    values = np.array(
+        [{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.parameter_names]
+    )
     readings = exact_readings(work, values[None], ())
     point = work.construction.point(readings, values)
     np.testing.assert_allclose(point, work.sightings.local, rtol=0, atol=1e-12)
@@ -153,7 +155,7 @@ def test_an_effect_adds_exactly_its_shift() -> None:
     plain, _ = simulate(with_(PAPER, instrument=silent), 6)
     more, truth = simulate(with_(PAPER, instrument=silent, effects=entry), 6)
     work = fieldwork(PAPER, 6)
-    shift = truth.applied[0].effect.shift(work.sightings, truth.applied[0].values)
+    shift = truth.applied[0].effect.reading_change(work.sightings, truth.applied[0].values)
     np.testing.assert_allclose(more.readings - plain.readings, shift, atol=1e-14)
     assert np.abs(shift[:, 0]).max() == pytest.approx(4e-6, rel=0.05)
 
@@ -210,8 +212,8 @@ def test_swapped_reflectors_carry_the_errors_of_the_pointings_that_were_made() -
     a, b = (wrong.targets.index(name) for name in targets)
     here = (wrong.station == wrong.stations.index("S2")) & np.isin(wrong.target, (a, b))
     mended = wrong.replace(target=np.where(here, a + b - wrong.target, wrong.target))
-    assert adjust(mended, misalignment()).p_value > 1e-3
-    assert adjust(wrong, misalignment()).gross[here].all()
+    assert adjust(mended, misalignment_construction()).p_value > 1e-3
+    assert adjust(wrong, misalignment_construction()).gross[here].all()
 
 
 def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
@@ -220,7 +222,7 @@ def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
     here = wrong.station == wrong.stations.index("S2")
     assert np.all(np.abs(wrong.readings[here, 2]) < np.pi / 2)
     mended = wrong.replace(face=np.where(here, 1, wrong.face))
-    assert adjust(mended, misalignment()).p_value > 1e-3
+    assert adjust(mended, misalignment_construction()).p_value > 1e-3
 
 
 def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> None:

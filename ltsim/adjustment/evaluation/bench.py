@@ -24,7 +24,8 @@ from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
 from ltsim.recordings.files import read_text
 from ltsim.recordings.result_file import Entry, Finite, ResultFile
 
-FEWEST_LENGTHS, FEWEST_PROBED = 3, 4
+FEWEST_LENGTHS = 3
+FEWEST_PROBED = 4
 """Smallest number of lengths and of probe readings: two coordinates of the vertex (or eccentricity) and the zero, and
 one more probe reading for the scatter.
 """

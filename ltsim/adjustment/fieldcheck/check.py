@@ -236,7 +236,7 @@ def best_bump(visit: StationOccupation) -> tuple[StationBump | None, ColumnsFit,
     if not tried:
         return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: visit.explained(bump.design(visit.sightings)) for bump in tried}
-    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).finer(visit.sightings):
+    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(visit.sightings):
         if _witnesses(visit, bump) >= WITNESSES:
             explained_by[bump] = visit.explained(bump.design(visit.sightings))
     best = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))

@@ -23,8 +23,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import from_polar, to_polar, wrap
-from ltsim.physics.model.construction import Construction, ideal
-from ltsim.physics.model.measurement import State, sightings_of
+from ltsim.physics.model.construction import Construction, ideal_construction
+from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
@@ -97,7 +97,7 @@ class StationOccupation:
         sightings = replace(sightings_of(recording, _state(recording, chosen)), lift=None)
         prior = prior_sigmas(recording, construction)[0]
         raw = np.where(recording.measured, recording.readings, sightings.raw)
-        by_point, by_value = construction.reading_design(raw, np.zeros(construction.size))
+        by_point, by_value = construction.reading_design(raw, np.zeros(construction.n_parameters))
         scale = (weight / sigma)[:, :, None]
         gap = np.where(weight, recording.readings - sightings.raw, 0.0)
         gap[:, 1:] = wrap(gap[:, 1:])
@@ -206,7 +206,7 @@ class StationOccupation:
         return drop, controlled.sum(axis=1).astype(np.int64)
 
 
-def _state(recording: Recording, use: Bools) -> State:
+def _state(recording: Recording, use: Bools) -> NetworkState:
     """State with the instrument at the origin and targets at the mean of their pointings."""
     points = from_polar(recording.readings)
     whole = np.isfinite(points).all(axis=1)
@@ -216,7 +216,7 @@ def _state(recording: Recording, use: Bools) -> State:
     np.add.at(count, recording.target[good], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None]
     mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
-    return State(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
+    return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
@@ -333,8 +333,8 @@ def two_face(recording: Recording, construction: Construction | None = None, val
     pairs = face_pairs(recording)
     if not len(pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
-    built = construction or ideal()
-    applied = np.zeros(built.size) if values is None else values
+    built = construction or ideal_construction()
+    applied = np.zeros(built.n_parameters) if values is None else values
     readings = np.where(recording.measured, recording.readings, 1.0)
     polar = to_polar(built.point(readings, applied))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]

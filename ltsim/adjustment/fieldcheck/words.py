@@ -13,7 +13,9 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 
 ZEROS = (("range", "um", MICROMETRE, 100 * MICROMETRE), ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND))
 """Zeros of an instrument, with the standard deviation above which a recording does not determine them."""
-SHIFT, TILT, TURN = slice(0, 3), slice(3, 5), slice(5, 6)
+SHIFT = slice(0, 3)
+TILT = slice(3, 5)
+TURN = slice(5, 6)
 VAGUE = 100 * MICRORADIAN
 """Standard deviation of a level [rad] above which a recording does not determine it."""
 MIN_REPORTED_SIGMAS = 2.0

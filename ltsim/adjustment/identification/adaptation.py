@@ -52,13 +52,13 @@ def adapted(
     """
     changed, shifts, values = changed_recording(recording, hypotheses), tuple[Signature, ...](), np.zeros(0)
     if any(isinstance(h.change, Shift) for h in hypotheses):
-        shifts, values = fit.effects, fit.state.extra
+        shifts, values = fit.effects, fit.state.extra_parameters
         if subtracted:
             changed = changed.with_readings(fit.corrected(recording, outliers=True).readings)
             values = np.zeros_like(values)
-    instrument = np.zeros((len(recording.instruments), construction.size))
-    if construction.size == fit.state.instrument.shape[1]:
-        instrument = fit.state.instrument
+    instrument = np.zeros((len(recording.instruments), construction.n_parameters))
+    if construction.n_parameters == fit.state.instrument_parameters.shape[1]:
+        instrument = fit.state.instrument_parameters
     extra = np.zeros(sum(len(e.parameters) for e in effects))
-    start = replace(fit.state, instrument=instrument, extra=np.concatenate([extra, values]))
+    start = replace(fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([extra, values]))
     return adjust(changed, construction, effects=(*effects, *shifts), start=start, **how)

@@ -40,7 +40,7 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import wrap
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import MeasurementModel, State, with_plumb_lines
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import median_deviation
@@ -48,7 +48,8 @@ from ltsim.solve.gauss_newton import Solution, solve
 
 DETERMINED = 4.0
 """Smallest shift, in its standard deviations, that a fit may contain; chance exceeds four in one of 16,000 cases."""
-REWEIGHTED, SAME_NOISE = 3, 0.05
+REWEIGHTED = 3
+SAME_NOISE = 0.05
 """Largest number of estimates of noise factors, and relative change that ends them (0.1 in log evidence)."""
 OTHER_OUTLIERS = 0.2
 """Relative change of the noise from which the set of outliers is determined again."""
@@ -89,7 +90,7 @@ class Fit:
     hypotheses: tuple[Hypothesis, ...]
     whole: NetworkProblem
     problem: NetworkProblem
-    solution: Solution[State]
+    solution: Solution[NetworkState]
 
     @classmethod
     def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> tuple[list[ReferenceRows], int]:
@@ -109,7 +110,7 @@ class Fit:
         cls,
         network: Network,
         hypotheses: Sequence[Hypothesis] = (),
-        start: State | None = None,
+        start: NetworkState | None = None,
         near: Sightings | None = None,
     ) -> Fit | None:
         """Fit from a start, by default from the recording alone; None for an undetermined network.
@@ -143,7 +144,7 @@ class Fit:
     def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) of a shift of the model [SI]."""
         at = next(at for h, _, at in self.shifts if h is hypothesis)
-        return self.state.extra[at], self.adjustment.extra_covariance[at, at]
+        return self.state.extra_parameters[at], self.adjustment.extra_covariance[at, at]
 
     def length(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift in its standard deviations."""
@@ -154,22 +155,22 @@ class Fit:
     def _problem(
         network: Network,
         hypotheses: Sequence[Hypothesis],
-        start: State | None = None,
+        start: NetworkState | None = None,
         near: Sightings | None = None,
-    ) -> tuple[NetworkProblem, State]:
+    ) -> tuple[NetworkProblem, NetworkState]:
         """Problem with all usable readings, and a start, as in `of`."""
         recording = changed_recording(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start is None:
             reached, lost = initial_network(recording if near is None else _unshifted(recording, hypotheses, near))
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
-            parameters = np.zeros((len(recording.instruments), network.construction.size))
-            start = State(*reached, parameters if network.prior is None else network.prior.mean)
-        recording = with_plumb_lines(recording, start.position)
+            parameters = np.zeros((len(recording.instruments), network.construction.n_parameters))
+            start = NetworkState(*reached, parameters if network.prior is None else network.prior.mean)
+        recording = with_plumb_lines(recording, start.station_positions)
         effects = tuple(h.change.effect for h in hypotheses if isinstance(h.change, Shift))
         model = MeasurementModel(recording, network.construction, effects)
-        if len(start.extra) != model.extra_size:
-            start = replace(start, extra=_guesses(hypotheses, model.extra_size, near))
+        if len(start.extra_parameters) != model.n_extra_parameters:
+            start = replace(start, extra_parameters=_guesses(hypotheses, model.n_extra_parameters, near))
         usable = np.ones((len(recording), 3), dtype=bool) if network.usable is None else network.usable
         sigma = recording.sigma()
         for h in hypotheses:
@@ -182,7 +183,8 @@ class Fit:
             held_to=FREE,
             prior=network.prior,
         )
-        return problem, replace(start, position=problem.marks.on_marks(start.position, start.points))
+        positions = problem.marks.on_marks(start.station_positions, start.target_points)
+        return problem, replace(start, station_positions=positions)
 
     def _reweighted(self) -> Fit:
         """Fit with noise factors estimated from its residuals (restricted maximum likelihood)."""
@@ -227,7 +229,7 @@ class Fit:
         return gap
 
     @property
-    def state(self) -> State:
+    def state(self) -> NetworkState:
         """Adjusted poses, targets and parameters."""
         return self.solution.x
 
@@ -247,7 +249,7 @@ class Fit:
         """The shifts in the model, each with a plausible size of at least its estimate."""
         signatures = list[Signature]()
         for _, shift, at in self.shifts:
-            times = float(np.max(np.abs(self.state.extra[at]) / shift.effect.spread))
+            times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
             signatures.append(replace(shift.effect, coarse=max(1.0, times)))  # type: ignore[type-var]
         return tuple(signatures)
 
@@ -259,7 +261,7 @@ class Fit:
         """
         readings = self.recording.readings.copy()
         for _, shift, at in self.shifts:
-            readings -= shift.effect.shift(self.adjustment.sightings, self.state.extra[at])
+            readings -= shift.effect.reading_change(self.adjustment.sightings, self.state.extra_parameters[at])
         if not outliers:
             readings[self.outliers] = np.nan
         corrected = recording.replace(
@@ -312,8 +314,8 @@ class Fit:
         declared = NetworkProblem.of(model, use=self.problem.use)
         if value.kind == "mark":
             station = self.recording.stations.index(value.name)
-            over = declared.marks.on_marks(self.state.position, self.state.points)
-            return np.asarray(self.state.position[station] - over[station])
+            over = declared.marks.on_marks(self.state.station_positions, self.state.target_points)
+            return np.asarray(self.state.station_positions[station] - over[station])
         every = (*reference_values(declared, self.state), *common_scale(declared, self.state))
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
 
@@ -378,7 +380,7 @@ def _unshifted(recording: Recording, hypotheses: Sequence[Hypothesis], near: Sig
     readings = recording.readings.copy()
     for h in hypotheses:
         if isinstance(h.change, Shift) and h.change.guess:
-            readings -= h.change.effect.shift(near, np.array(h.change.guess))
+            readings -= h.change.effect.reading_change(near, np.array(h.change.guess))
     return recording.with_readings(readings)
 
 

@@ -16,12 +16,12 @@ from ltsim.adjustment.sight import Sight
 from ltsim.adjustment.significance import FAR, MAJORITY
 from ltsim.adjustment.snooping import whitened_readings
 from ltsim.core.arrays import Bools, grouped
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import median_deviation
 
 
-def resected(problem: NetworkProblem, state: State) -> State:
+def resected(problem: NetworkProblem, state: NetworkState) -> NetworkState:
     """State in which set-ups with mostly far residuals are resected from two of their observables.
 
     The results must be near.
@@ -35,19 +35,19 @@ def resected(problem: NetworkProblem, state: State) -> State:
             continue
         sight = whole.at(rows)
         for observable in range(len(OBSERVABLES)):
-            pose = fit_pose(sight.without(observable), state.points[recording.target[rows]])
+            pose = fit_pose(sight.without(observable), state.target_points[recording.target[rows]])
             if pose is None:
                 continue
-            position, rotation = state.position.copy(), state.rotation.copy()
+            position, rotation = state.station_positions.copy(), state.station_rotations.copy()
             position[station], rotation[station] = pose
-            moved = replace(state, position=position, rotation=rotation)
+            moved = replace(state, station_positions=position, station_rotations=rotation)
             then = _far(problem, moved)
             if then[rows].sum() < now[rows].sum():
                 state, now = moved, then
     return state
 
 
-def _far(problem: NetworkProblem, state: State) -> Bools:
+def _far(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (n, 3) of the used readings with far residuals."""
     whitened = whitened_readings(problem, state)
     scale = max(median_deviation(whitened[problem.use]), 1.0)

@@ -32,7 +32,9 @@ EXACT = 3_000_000
 """Number of entries of all signatures up to which all are projected exactly; of more only the best ones by their own
 rows.
 """
-MANY, HALF, PLACES = 6, 0.4, 5
+MANY = 6
+HALF = 0.4
+PLACES = 5
 """Number of outliers, and fraction of gross ones among a place's pointings, from which its distances are removed for a
 trial; number of such places.
 """
@@ -202,7 +204,7 @@ def _moved_targets(fit: Fit, every: Sequence[Candidate]) -> Iterator[tuple[int, 
             continue
         displacement = np.zeros((len(sightings), 3))
         for rows, point in zip(parts, points, strict=True):
-            displacement[rows] = point - fit.state.points[sightings.target[rows]]
+            displacement[rows] = point - fit.state.target_points[sightings.target[rows]]
         both = np.concatenate(parts)
         rest = (fit.residuals - exact_target_change(sightings, displacement))[both] / sigma[both]
         used = fit.whole.use[both]
@@ -221,7 +223,7 @@ def _place(fit: Fit, rows: Ints) -> Floats | None:
     rows = rows[fit.whole.use[rows].any(axis=1)]
     sight, station = Sight.of(fit.recording).at(rows), fit.recording.station[rows]
     usable = replace(sight, readings=np.where(fit.whole.use[rows], sight.readings, np.nan))
-    return fit_point(usable, fit.state.position[station], fit.state.rotation[station])
+    return fit_point(usable, fit.state.station_positions[station], fit.state.station_rotations[station])
 
 
 def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:

@@ -203,7 +203,7 @@ def _at_best_moment(fit: Fit) -> Fit:
                 continue
             moved = replace(last, change=replace(change, effect=bumps[at]))
             try:
-                made = Fit.of(fit.network, (*others, moved), replace(fit.state, extra=np.zeros(0)))
+                made = Fit.of(fit.network, (*others, moved), replace(fit.state, extra_parameters=np.zeros(0)))
             except LtsimError:
                 continue
             if made is not None and made.log_evidence > fit.log_evidence:
@@ -296,7 +296,7 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
     """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
     best: Fit | None = None
     near = fit.adjustment.sightings
-    for start in (replace(fit.state, extra=np.zeros(0)), None):
+    for start in (replace(fit.state, extra_parameters=np.zeros(0)), None):
         try:
             made = Fit.of(fit.network, (*fit.hypotheses, hypothesis), start, None if start else near)
         except LtsimError:
@@ -331,7 +331,7 @@ def _less(fit: Fit, hypothesis: Hypothesis, required: list[Hypothesis]) -> Fit |
         return None
     others = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        rest = Fit.of(fit.network, others, replace(fit.state, extra=np.zeros(0)))
+        rest = Fit.of(fit.network, others, replace(fit.state, extra_parameters=np.zeros(0)))
     except LtsimError:
         rest = None
     if rest is None:

@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
 from ltsim.geometry.rigid import pose_design
-from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, on_readings
+from ltsim.physics.effects.signature import Linearisation, Parameter, Signature, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
 
@@ -52,16 +52,16 @@ class ReadingShift(Signature):
         return (Parameter("offset", "urad", "offset of the readings", 10 * MICRORADIAN),)
 
     @property
-    def spread(self) -> Floats:
+    def size_scales(self) -> Floats:
         """Plausible size (1,) of the parameter [SI]."""
-        return self.coarse * super().spread
+        return self.coarse * super().size_scales
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
-        acts = self.mask(sightings) * (sightings.time >= self.since)
+        acts = self.row_weights(sightings) * (sightings.time >= self.since)
         size = acts * sightings.range_ if self.proportional else acts
         size = size * sightings.face_sign if self.observable == "elevation" else size
-        return on_readings(sightings, **{self.observable: -size[:, None]})
+        return design_from_front_face_corrections(sightings, **{self.observable: -size[:, None]})
 
     def linearised(self, sightings: Sightings, values: Floats) -> Linearisation:
         """Change of the readings at a value; distances with a scale error change in proportion to their change."""

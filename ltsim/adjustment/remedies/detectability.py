@@ -185,7 +185,7 @@ def _smallest(information: Floats, needed: float) -> Floats:
 def _place(effect: Effect) -> str:
     """Text of the place and shape of an effect."""
     parts = [*effect.stations, *effect.targets]
-    for shape in type(effect).shape:
+    for shape in type(effect).shape_parameters:
         value = getattr(effect, shape.name, None)
         if isinstance(value, float):
             parts.append(f"{shape.name} {value:.3g}")
@@ -251,7 +251,7 @@ def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Eff
     Terms that the construction estimates are treated as estimated; all others are additional signatures.
     """
     space = ResidualSpace.of(adjustment)
-    estimated = set(adjustment.construction.names)
+    estimated = set(adjustment.construction.parameter_names)
     examined: list[EffectDetectability] = []
     silent: list[str] = []
     for entry in catalogue:

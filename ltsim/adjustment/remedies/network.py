@@ -19,7 +19,7 @@ from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import Construction
-from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
 from ltsim.recordings.setup import GaugeDistance
 
@@ -32,7 +32,7 @@ class Network:
     """Recording that may contain hypothetical pointings, and the state that predicts their readings."""
 
     recording: Recording
-    state: State
+    state: NetworkState
     construction: Construction
     """Construction of the instrument whose parameters are estimated."""
     prior: ParameterPrior | None = None
@@ -46,11 +46,19 @@ class Network:
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
-        values, prior = state.instrument, adjustment.problem.prior if adjustment.construction == built else None
-        if values.shape[1] != built.size:
-            values = np.zeros((len(recording.instruments), built.size))
+        values, prior = (
+            state.instrument_parameters,
+            adjustment.problem.prior if adjustment.construction == built else None,
+        )
+        if values.shape[1] != built.n_parameters:
+            values = np.zeros((len(recording.instruments), built.n_parameters))
         used = np.where(adjustment.problem.use, recording.readings, np.nan)
-        return cls(recording.with_readings(used), replace(state, instrument=values, extra=np.zeros(0)), built, prior)
+        return cls(
+            recording.with_readings(used),
+            replace(state, instrument_parameters=values, extra_parameters=np.zeros(0)),
+            built,
+            prior,
+        )
 
     @cached_property
     def adjustment(self) -> Adjustment:
@@ -120,21 +128,28 @@ class Network:
             update={"position_mm": None, "yaw_deg": None, "yaw_sigma_arcsec": None, "over": None}
         )
         setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
-        places, turns = np.vstack([state.position, position]), np.concatenate([state.rotation, rotation[None]])
+        places, turns = (
+            np.vstack([state.station_positions, position]),
+            np.concatenate([state.station_rotations, rotation[None]]),
+        )
         grown = recording.replace(setup=setup, stations=(*recording.stations, name))
-        return replace(self, recording=grown, state=replace(state, position=places, rotation=turns))
+        return replace(self, recording=grown, state=replace(state, station_positions=places, station_rotations=turns))
 
     def with_targets(self, names: Sequence[str], points: Floats) -> Network:
         """Network with additional reflectors at `points` (k, 3) without pointings."""
         grown = self.recording.replace(targets=(*self.recording.targets, *names))
-        return replace(self, recording=grown, state=replace(self.state, points=np.vstack([self.state.points, points])))
+        return replace(
+            self,
+            recording=grown,
+            state=replace(self.state, target_points=np.vstack([self.state.target_points, points])),
+        )
 
     def with_length(self, first: int, second: int, sigma_mm: float) -> Network:
         """Network with the calibrated distance between two targets; unchanged if it is already known."""
         recording, rows = self.recording, GaugeRows.of(self.recording)
         if {first, second} in (set(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)):
             return self
-        length = float(np.linalg.norm(self.state.points[first] - self.state.points[second])) / MILLIMETRE
+        length = float(np.linalg.norm(self.state.target_points[first] - self.state.target_points[second])) / MILLIMETRE
         # `from` is a keyword: the alias goes in through a mapping.
         ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
         added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)

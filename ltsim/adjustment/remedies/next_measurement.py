@@ -35,7 +35,7 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import find_effect, title_of
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
-from ltsim.physics.effects.verbs import each_of
+from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 
@@ -160,13 +160,15 @@ class Proposal(ValueEquality):
 
         Gain 1 for one without parameters.
         """
-        if not adjustment.construction.size:
+        if not adjustment.construction.n_parameters:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
         sharper = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best = int(np.argmin(ratio))
-        return cls(remedy, float(sharper), adjustment.construction.names[best], float(ratio[best]), evidence or {})
+        return cls(
+            remedy, float(sharper), adjustment.construction.parameter_names[best], float(ratio[best]), evidence or {}
+        )
 
     @property
     def distinguished(self) -> tuple[str, ...]:
@@ -231,7 +233,7 @@ def next_measurement(
     adjustment.solution.require_success()
     if len(between) > 1:
         plain = space_of(adjustment)
-        extra_effects = [explanation(plain, e).effect if isinstance(e, str) else e for e in each_of(with_effects)]
+        extra_effects = [explanation(plain, e).effect if isinstance(e, str) else e for e in effect_tuple(with_effects)]
         space = space_of(adjustment, extra_effects)
         asked = [explanation(space, name) for name in between]
         return deciding(adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress)

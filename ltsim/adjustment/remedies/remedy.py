@@ -18,7 +18,7 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.physics.model.measurement import State
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
 from ltsim.scene.visibility import SightLimits, visibility
@@ -30,19 +30,23 @@ SET_UPS = ("return", "station")
 
 CLOSING = 3
 """Number of targets that are measured again before a station is left."""
-ROUNDS, AGAIN = 4, 3
+ROUNDS = 4
+AGAIN = 3
 """Number of additional rounds at the last station, and of pointings to a suspect target."""
 TURN = 90.0 * DEGREE
 """Rotation of the base at a position that an instrument has already had."""
 RETURNS = 12
 """Largest number of set-ups that are tried again, distributed evenly."""
-GRID, TURNS = 5, 4
+GRID = 5
+TURNS = 4
 """Number of positions along each side of the floor, and of yaws at each, that are tried for an additional station."""
 CROWDED = 30
 """Number of set-ups from which no additional one is tried."""
 CLEARANCE = 0.8
 """Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
-BAR_LENGTH, BAR_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
+BAR_LENGTH = 2.0
+BAR_SIGMA_MM = 0.002
+CALIBRATION = 7200.0
 """Length that a workshop can have calibrated [m], its standard deviation [mm], and the time [s] for it."""
 NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
 """Range [m], azimuth, elevation [rad] of near reflectors."""
@@ -119,7 +123,11 @@ class Remedy:
     def set_up(self) -> tuple[Floats, float] | None:
         """Position (3,) [m] and yaw [rad] of an additional set-up, on the floor plan; None for another remedy."""
         state, plan = self.network.state, FloorPlan.of(self.network.recording, self.network.state)
-        return (plan.place(state.position[-1]), plan.yaw(state.rotation[-1])) if self.kind in SET_UPS else None
+        return (
+            (plan.place(state.station_positions[-1]), plan.yaw(state.station_rotations[-1]))
+            if self.kind in SET_UPS
+            else None
+        )
 
 
 @dataclass(frozen=True)
@@ -135,9 +143,9 @@ class FloorPlan:
     on_plan: bool
 
     @classmethod
-    def of(cls, recording: Recording, state: State) -> FloorPlan:
+    def of(cls, recording: Recording, state: NetworkState) -> FloorPlan:
         """Floor plan from the stations of an adjusted network."""
-        return cls.by(recording.setup, recording.stations, state.position, state.rotation)
+        return cls.by(recording.setup, recording.stations, state.station_positions, state.station_rotations)
 
     @classmethod
     def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
@@ -190,7 +198,7 @@ def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterato
         yield remedy("look again", np.tile(np.array(again, dtype=np.int64), AGAIN), targets=names, count=AGAIN)
     yield remedy("to and fro", np.tile(np.r_[order[::-1], order], ROUNDS // 2), count=ROUNDS)
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
-    away = np.linalg.norm(network.state.points[unseen] - network.state.position[last], axis=1)
+    away = np.linalg.norm(network.state.target_points[unseen] - network.state.station_positions[last], axis=1)
     unseen = unseen[away > CLEARANCE]  # nobody aims at the mark that the tripod stands on
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
@@ -205,7 +213,9 @@ def returns(network: Network, seconds_per_move: float, stations: Iterable[int] |
         target = _first_visits(recording.target[_visit(recording, s)])
         if len(target):
             words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
-            grown = network.with_station(_fresh(recording), s, state.position[s], state.rotation[s] @ about_z(TURN))
+            grown = network.with_station(
+                _fresh(recording), s, state.station_positions[s], state.station_rotations[s] @ about_z(TURN)
+            )
             yield _set_up("return", words, grown, target, seconds_per_move)
 
 
@@ -218,17 +228,17 @@ def further_stations(network: Network, seconds_per_move: float) -> Iterator[Reme
     frame = "floor plan" if plan.on_plan else f"frame of {recording.stations[0]}"
     travel = recording.instrument_of(recording.stations[0]).limits or Limits()
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
-    low, high = state.position.min(axis=0), state.position.max(axis=0)
+    low, high = state.station_positions.min(axis=0), state.station_positions.max(axis=0)
     margin = 0.2 * (high - low) + 0.2
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2))
-    places = np.array([(a, b, state.position[:, 2].mean()) for a in x for b in y])
-    taken = np.concatenate([state.position, state.points])
-    visible = visibility(places, state.points, limits).visible
+    places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
+    taken = np.concatenate([state.station_positions, state.target_points])
+    visible = visibility(places, state.target_points, limits).visible
     for position, sights in zip(places, visible, strict=True):
         if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < CLEARANCE:
             continue
         for turn in range(TURNS):
-            rotation = state.rotation[0] @ about_z(turn * 2 * np.pi / TURNS)
+            rotation = state.station_rotations[0] @ about_z(turn * 2 * np.pi / TURNS)
             place, yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
             words = advice("new station", station=name, place=place, yaw=yaw, frame=frame)
             grown = network.with_station(name, 0, position, rotation)
@@ -278,7 +288,7 @@ def other_face(network: Network) -> Remedy | None:
 
 def calibrated_length(network: Network) -> Iterator[Remedy]:
     """Remedy with a calibrated length between the pair of targets with a distance nearest to 2 m."""
-    points, names = network.state.points, network.recording.targets
+    points, names = network.state.target_points, network.recording.targets
     if len(points) < 2:
         return
     first, second = np.triu_indices(len(points), k=1)
@@ -293,8 +303,12 @@ def near_reflectors(network: Network) -> Iterator[Remedy]:
     both = other_face(network)
     for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
         recording, state = start.recording, start.state
-        points = np.concatenate([centre + from_polar(NEAR) for centre in state.position[:2]])
-        axes = np.arange(len(recording.stations)), len(state.points) + np.arange(len(points)), np.unique(recording.face)
+        points = np.concatenate([centre + from_polar(NEAR) for centre in state.station_positions[:2]])
+        axes = (
+            np.arange(len(recording.stations)),
+            len(state.target_points) + np.arange(len(points)),
+            np.unique(recording.face),
+        )
         station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
         wider = start.with_targets([f"near-{i + 1}" for i in range(len(points))], points)
         grown = wider.with_pointings(station, target, face)

@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
-from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import TargetMotion
 from ltsim.scene.sightings import Sightings
 
@@ -24,7 +24,7 @@ class SmrOffset(TargetMotion):
     """
 
     name = "smr-offset"
-    stage = Stage.TARGET
+    stage = LightPathStage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
     parameters = (Parameter("radius-difference", "mm", "radius of the SMR minus the declared radius", 5 * MILLIMETRE),)
@@ -37,4 +37,4 @@ class SmrOffset(TargetMotion):
 
     def displacement(self, sightings: Sightings) -> Floats:
         normal = np.nan_to_num(sightings.nest_normal[sightings.target])
-        return (normal * self.mask(sightings)[:, None])[:, :, None]
+        return (normal * self.row_weights(sightings)[:, None])[:, :, None]

@@ -44,7 +44,8 @@ from ltsim.recordings.setup import (
 )
 from ltsim.recordings.xml import Node, parse
 
-MIRRORED_AXES, DIRECT_AXES = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
+MIRRORED_AXES = ("ne", "sw", "es", "wn")
+DIRECT_AXES = ("en", "nw", "se", "ws")
 CC = FACTOR["cc"]
 STDEV_OF = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
 """Attributes that hold the standard deviation, by kind of observation."""

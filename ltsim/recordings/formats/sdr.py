@@ -24,7 +24,8 @@ WIDTHS = {"20": (4, 10), "33": (16, 16)}
 """Widths in characters of a name and of a number, by dialect."""
 ANGLE = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
 LENGTH = {"1": 1.0, "2": FACTOR["ft"]}
-UNITS_AT, ZERO_AT = slice(40, 45), 50
+UNITS_AT = slice(40, 45)
+ZERO_AT = 50
 """Columns of the units in the header record, and of the digit for the zero of vertical angles in
 the instrument record.
 """

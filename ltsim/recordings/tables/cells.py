@@ -21,9 +21,11 @@ T = TypeVar("T")
 DAY = timedelta(days=1)
 MAX_VALUE_LENGTH = 60
 """Largest number of characters of a cell that is tested as a number or an angle."""
-_DEGREES, _MINUTES = r"°|º|˚|\^|\*|deg|d", r"'|′|’|‘|´|`|ʹ|min|m"
+_DEGREES = r"°|º|˚|\^|\*|deg|d"
+_MINUTES = r"'|′|’|‘|´|`|ʹ|min|m"
 _SECONDS = rf"\"|″|”|“|ʺ|(?:{_MINUTES})(?:{_MINUTES})|sec|s"
-_GAP, _PART = r":|-|\s", r"\d{1,2}(?:[.,]\d+)?"
+_GAP = r":|-|\s"
+_PART = r"\d{1,2}(?:[.,]\d+)?"
 _SEXAGESIMAL = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES}|{_GAP})\s*(\d{{1,2}})\s*(?:{_MINUTES}|{_GAP})\s*({_PART})\s*(?:{_SECONDS})?"
 )

@@ -37,7 +37,8 @@ from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE,
 from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exact_function
 from ltsim.recordings.transcription_errors import SHORTEST_MM
 
-FULL_CIRCLE, QUARTER = 360, 90
+FULL_CIRCLE = 360
+QUARTER = 90
 """Full and quarter circle [deg]."""
 TALL_M = (0.2, 3.0)
 """Range [m] of heights of instruments and targets above their marks, which distinguishes metres from millimetres."""

@@ -29,7 +29,8 @@ SAME_PLACE_RATIO = 3e-4
 """Largest distance between rows at one position, relative to the largest length: 1 mm at 3 m, more than the
 repeatability of a robot.
 """
-SAME_ANGLE, SAME_RADIAN = 0.02, SAME_PLACE_RATIO
+SAME_ANGLE = 0.02
+SAME_RADIAN = SAME_PLACE_RATIO
 """Tolerances [deg or gon, rad] between directions to the same position."""
 RADIANS = 7.0
 MIN_ROWS = 3

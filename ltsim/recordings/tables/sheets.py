@@ -34,7 +34,8 @@ from ltsim.recordings.xml import check_part
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 WORKBOOK = b"PK\x03\x04"
 SEPARATORS = ("\t", ";", ",", " ")
-SAMPLE_LINES, SAMPLE_CHARACTERS = 400, 100_000
+SAMPLE_LINES = 400
+SAMPLE_CHARACTERS = 100_000
 """Number of lines, and of characters in them, that decide on the separator."""
 
 

@@ -37,7 +37,8 @@ from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MAX_TRIANGLES = 20_000
 """Largest number of triangles of obstacles drawn from above; the largest triangles are retained."""
-MIN_STATIONS, MAX_STATIONS = 2, 40
+MIN_STATIONS = 2
+MAX_STATIONS = 40
 """Smallest and largest number of stations of a layout, as of a plan file."""
 NAME = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""

@@ -22,10 +22,12 @@ from ltsim.core.units import BY_ENDING
 from ltsim.reports import style
 from ltsim.reports.words import typeset
 
-MAX_PANELS, MAX_LINES = 12, 8
+MAX_PANELS = 12
+MAX_LINES = 8
 LETTERS = 26
 """Width of a label per row of panels [characters]."""
-NINETY, FLOOR = "90 % of trials", "noise floor"
+NINETY = "90 % of trials"
+FLOOR = "noise floor"
 PAPER = MappingProxyType(
     {
         "paper-workshop": {

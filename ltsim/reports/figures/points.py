@@ -76,7 +76,8 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
 
 OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 MAX_NAMES = 40
-MAX_STATIONS, NAME = 8, 20
+MAX_STATIONS = 8
+NAME = 20
 """Largest number of stations in a legend, and of characters of a name."""
 BELOW_LEGEND = 0.86
 """Fraction of the axes below an inside legend."""

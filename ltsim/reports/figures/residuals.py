@@ -14,7 +14,8 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
 
-MAX_STATIONS, MAX_DOTS = 30, 40
+MAX_STATIONS = 30
+MAX_DOTS = 40
 """Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
 BAND = 1.96
 

@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 MAX_DRAWN = 200_000
 """Largest number of trials in a figure; tables and intervals use all trials."""
-MAX_CELLS, MAX_VALUES, MAX_SHOWN, MAX_ROWS = 3, 8, 4, 48
+MAX_CELLS = 3
+MAX_VALUES = 8
+MAX_SHOWN = 4
+MAX_ROWS = 48
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(

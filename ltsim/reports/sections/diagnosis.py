@@ -21,7 +21,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS, UNDETECTABLE, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants, effect_words, parameter_words
 from ltsim.physics.effects import title_of
-from ltsim.physics.effects.verbs import effect_from
+from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
@@ -324,8 +324,11 @@ def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[
     true: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
         sizes = zip(injected.effect.parameters, injected.values, strict=True)
-        true = {p.name: (value / p.factor, p.unit) for p, value in sizes}
-        true |= {s.name: (getattr(injected.effect, s.name) / FACTOR[s.unit], s.unit) for s in injected.effect.shape}
+        true = {p.name: (value / p.si_per_display_unit, p.unit) for p, value in sizes}
+        true |= {
+            s.name: (getattr(injected.effect, s.name) / FACTOR[s.unit], s.unit)
+            for s in injected.effect.shape_parameters
+        }
     values = {} if finding is None else {p.name: p for p in finding.parameters}
     where = [_place_of(x) if x else NONE for x in (injected and injected.effect, finding and finding.where)]
     rows = [
@@ -350,12 +353,12 @@ def _curves(content: Diagnosis, applied: AppliedEffect, pair: Pair | None) -> li
         return []
     estimates, sightings, injected = {p.name: p.value for p in finding.parameters}, pair[1].sightings, applied.effect
     try:
-        shape = {s.name: estimates[s.name] for s in injected.shape if s.name in estimates}
-        effect = effect_from(
+        shape = {s.name: estimates[s.name] for s in injected.shape_parameters if s.name in estimates}
+        effect = make_effect(
             injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
         )
-        values = np.array([estimates.get(p.name, 0.0) * p.factor for p in injected.parameters])
-        true, fitted = injected.shift(sightings, applied.values), effect.shift(sightings, values)
+        values = np.array([estimates.get(p.name, 0.0) * p.si_per_display_unit for p in injected.parameters])
+        true, fitted = injected.reading_change(sightings, applied.values), effect.reading_change(sightings, values)
     except LtsimError:
         return []
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))

@@ -35,13 +35,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Named = TypeVar("Named", ChangeEntry, EventEntry)
-LIKELY, NOTHING = 0.5, 1e-6
+LIKELY = 0.5
+NOTHING = 1e-6
 UNITED = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
 )
 HIDDEN = "One standard deviation of each error; U does not include them. A known length or thermometers exclude them."
-MAX_BARS, MAX_TESTS = 40, 200
+MAX_BARS = 40
+MAX_TESTS = 200
 AGAINST = {
     ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
     ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (

@@ -16,7 +16,7 @@ from ltsim.adjustment.evaluation.criteria import (
 )
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 from tests.networks import share_removed
@@ -32,7 +32,7 @@ def network(values: np.ndarray, noise: float = 0.0, *, faces: tuple[int, ...] = 
     rows = [(s, t, f) for s in range(3) for t in range(6) for f in faces]
     station, target, face = np.array(rows).T
     local = np.array([from_rotation_vector(POSES[s][1]).T @ (TARGETS[t] - POSES[s][0]) for s, t, _ in rows])
-    readings = misalignment().readings(local, face, values)
+    readings = misalignment_construction().readings(local, face, values)
     readings += noise * rng.standard_normal(readings.shape)
     ones = np.ones(len(rows), dtype=np.int64)
     return Recording(
@@ -49,8 +49,8 @@ def network(values: np.ndarray, noise: float = 0.0, *, faces: tuple[int, ...] = 
 
 
 def parameters(**values: float) -> np.ndarray:
-    construction = misalignment()
-    vector = np.zeros(construction.size)
+    construction = misalignment_construction()
+    vector = np.zeros(construction.n_parameters)
     for name, value in values.items():
         vector[construction.index(name.replace("_", "-"))] = value
     return vector
@@ -89,7 +89,7 @@ def test_a_perfect_tracker_has_no_differences_and_poses_do_not_matter() -> None:
 
 def test_true_parameters_remove_everything_and_json_says_so() -> None:
     values = parameters(vertical_index=40e-6, transit_offset=60e-6, azimuth_second_order_cos=20e-6)
-    criteria = evaluate(network(values, faces=(1,)), misalignment(), values)
+    criteria = evaluate(network(values, faces=(1,)), misalignment_construction(), values)
     assert criteria.distance.before.mean_um > 5
     assert criteria.coordinate.before.mean_um > 5
     assert criteria.distance.improvement_percent == pytest.approx(100.0, abs=1e-4)
@@ -120,7 +120,7 @@ def test_verification_against_nominal_points_in_another_frame() -> None:
     values = parameters(range_scale=50e-6, vertical_index=40e-6)
     turned = TARGETS @ from_rotation_vector(np.array([0.3, -0.2, 2.0])).T + [10.0, 20, 30]
     nominal = {f"T{t}": turned[t] for t in range(6)} | {"unused": np.zeros(3)}
-    criteria = verify(network(values, faces=(1,)), nominal, misalignment(), values)
+    criteria = verify(network(values, faces=(1,)), nominal, misalignment_construction(), values)
     # A scale of 50 ppm is an error of every distance, which only nominal lengths can show.
     assert criteria.distance.before.max_um > 100
     assert criteria.distance.after is not None
@@ -152,7 +152,7 @@ def test_nominal_files_that_are_wrong(tmp_path, text: str | None, message: str) 
 
 def test_share_of_the_correctable_error() -> None:
     values = parameters(transit_offset=60e-6, vertical_index=40e-6)
-    recording, construction = network(values, noise=1e-6, faces=(1,)), misalignment()
+    recording, construction = network(values, noise=1e-6, faces=(1,)), misalignment_construction()
     none = share_removed(recording, TARGETS, construction, calibrated=0 * values, true_parameters=values)
     full = share_removed(recording, TARGETS, construction, calibrated=values, true_parameters=values)
     assert none.share == pytest.approx(0.0, abs=1e-6)

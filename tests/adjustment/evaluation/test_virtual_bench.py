@@ -9,9 +9,9 @@ from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_benc
 from ltsim.adjustment.evaluation.bench import as_vertex, evaluate_bench
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
 
-PAPER = np.array(PAPER_TABLE) - PAPER_TABLE[MIDDLE]
+PAPER = np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[MIDDLE]
 
 
 def quiet(**changes: object) -> BenchTest:
@@ -71,7 +71,7 @@ def test_a_vertex_off_centre_is_named() -> None:
     assert found.axial == pytest.approx(-97e-6, abs=1e-12)
     assert found.side == pytest.approx(26e-6, abs=1e-12)
     assert found.remainder < 1e-12
-    assert as_vertex(TABLE_ANGLES, np.array(PAPER_TABLE), 0.14e-6).remainder > 0.2 * MICROMETRE
+    assert as_vertex(TABLE_ANGLES, np.array(PAPER_RANGE_ERRORS), 0.14e-6).remainder > 0.2 * MICROMETRE
 
 
 def test_impossible_benches_are_refused_in_a_sentence() -> None:

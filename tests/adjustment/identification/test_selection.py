@@ -26,7 +26,7 @@ from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rotations import about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import declared_construction, misalignment
+from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
@@ -40,7 +40,7 @@ CONTROL = ("T01", "T06", "T12", "T24")
 def hall() -> tuple[Recording, Truth]:
     """Four stations, both faces, four control points, a gauge; a pointing every 10 s."""
     recording, truth = network(faces=2, seed=3, stations=4)
-    points = dict(zip(recording.targets, truth.state.points, strict=True))
+    points = dict(zip(recording.targets, truth.state.target_points, strict=True))
     known = {name: Target(known_mm=tuple((1e3 * points[name]).tolist()), known_sigma_mm=0.01) for name in CONTROL}
     setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **known}})
     order = np.argsort(recording.station, kind="stable")
@@ -49,7 +49,7 @@ def hall() -> tuple[Recording, Truth]:
 
 
 def identified(recording: Recording) -> Selection:
-    return select(Network(recording, misalignment()))
+    return select(Network(recording, misalignment_construction()))
 
 
 def shifted(recording: Recording, rows: Floats, column: int, size: float) -> Recording:
@@ -80,7 +80,7 @@ def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
     assert test.unit == "mm"
     assert test.estimate == pytest.approx(1e3 * size, abs=0.05)
     assert ("0.5 inch" in test.sentence) == (size == 12.7e-3)
-    assert np.allclose(selection.fit.state.points, truth.state.points, atol=1e-4)
+    assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=1e-4)
 
 
 @pytest.mark.parametrize("size", family([2e-4, 17.5e-3, 0.3]))
@@ -106,7 +106,7 @@ def test_a_reference_point_that_is_off(size: float) -> None:
     wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     selection = identified(wrong)
     assert the_one(selection) == ("reference-value", (), ("T12",))
-    assert np.allclose(selection.fit.state.points, truth.state.points, atol=2e-4)
+    assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=2e-4)
 
 
 @pytest.mark.parametrize("size", family([3e-4, 0.02]))
@@ -131,10 +131,10 @@ def test_the_moment_of_a_large_motion_is_corrected_in_the_fit(gaps: int) -> None
     times = np.unique(recording.time[recording.station == 2])
     between = 0.5 * (times[1:] + times[:-1])
     bump = StationBump((recording.stations[2],), time=float(between[len(between) // 2]))
-    change = bump.shift(adjust(recording).sightings, np.array([0.02, -0.01, 0.006, 0.0, 0.0, 0.0]))
+    change = bump.reading_change(adjust(recording).sightings, np.array([0.02, -0.01, 0.006, 0.0, 0.0, 0.0]))
     right = select(Network(recording.with_readings(recording.readings + change), declared_construction(recording))).fit
     (hypothesis,) = right.hypotheses
-    elsewhere = bump.reshaped(time=float(between[len(between) // 2 + gaps]))
+    elsewhere = bump.with_constants(time=float(between[len(between) // 2 + gaps]))
     wrong = Fit.of(right.network, (replace(hypothesis, change=replace(hypothesis.change, effect=elsewhere)),))
     assert wrong is not None and wrong.log_evidence < right.log_evidence - 100.0
     corrected = _at_best_moment(wrong)
@@ -198,7 +198,7 @@ def test_noise_other_than_declared(factor: float) -> None:
 
 def test_distances_are_put_aside_at_places_that_stand_out_alone() -> None:
     recording, _ = hall()
-    fit = Fit.of(Network(recording, misalignment()))
+    fit = Fit.of(Network(recording, misalignment_construction()))
     assert fit is not None
     every = candidates(fit.adjustment.sightings)
     for gross, stations in ((recording.station == 1, {1}), (recording.station < 3, set[int]())):
@@ -232,7 +232,7 @@ def test_verbs_say_the_same_of_one_cause() -> None:
     assert checked.sentence.startswith("no-go: The distances to T08")
     assert "T08" in (adjusted.verdict.sentence if adjusted.verdict else "")
     for points in (adjusted.points, calibrated.points, diagnosed.targets.points):
-        assert np.allclose(points, truth.state.points, atol=2e-4)
+        assert np.allclose(points, truth.state.target_points, atol=2e-4)
 
 
 def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> None:
@@ -243,9 +243,15 @@ def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> No
     points[1] += 5.0
     bent = replace(wrong, control=replace(control, points=points))
     positions, rotations, targets = initial_network(recording)[0]
-    start = replace(truth.state, position=positions, rotation=rotations, points=targets, instrument=np.zeros((1, 16)))
+    start = replace(
+        truth.state,
+        station_positions=positions,
+        station_rotations=rotations,
+        target_points=targets,
+        instrument_parameters=np.zeros((1, 16)),
+    )
     state, _ = robust_state(bent, start)
-    assert np.allclose(state.points, truth.state.points, atol=2e-4)
+    assert np.allclose(state.target_points, truth.state.target_points, atol=2e-4)
 
 
 def test_alignment_survives_one_point_of_four_that_is_off_by_any_amount() -> None:

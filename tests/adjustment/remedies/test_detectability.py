@@ -22,7 +22,7 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.range_step import RangeStep
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.transit_offset import TransitOffset
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
 
@@ -93,7 +93,7 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     sag = examine(SPACE, [HeadSag()])
     assert sag is not None
     assert sag.visible[0] < 1e-3
-    others = misalignment(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
+    others = misalignment_construction(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
     space = ResidualSpace.of(LayoutInformation.of(survey(), others).adjustment)
     first, second = examine(space, [HeadSag()]), examine(space, [ElevationEccentricity()])
     assert first is not None

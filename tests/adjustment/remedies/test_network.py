@@ -21,15 +21,15 @@ from ltsim.adjustment.remedies.remedy import (
     returns,
 )
 from ltsim.calibration.network import calibrate_network
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import read
 from tests.networks import drawn, network
 
 
 @pytest.fixture(scope="module")
 def measured() -> Network:
-    recording, _ = network(values=drawn(misalignment(), 1), seed=1, stations=3)
-    return Network.of(adjust(recording, misalignment()))
+    recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, stations=3)
+    return Network.of(adjust(recording, misalignment_construction()))
 
 
 def test_a_planned_network_knows_what_a_measured_one_knows(measured: Network) -> None:
@@ -37,7 +37,7 @@ def test_a_planned_network_knows_what_a_measured_one_knows(measured: Network) ->
     recording = measured.recording
     twice = measured.with_pointings(recording.station, recording.target, recording.face)
     assert len(twice.recording) == 2 * len(recording)
-    again = adjust(twice.recording, misalignment()).instrument_covariance
+    again = adjust(twice.recording, misalignment_construction()).instrument_covariance
     assert twice.adjustment.instrument_covariance == pytest.approx(again, rel=1e-3)
     assert twice.recording.time[len(recording) :].min() > recording.time.max()
 
@@ -88,10 +88,10 @@ def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: Network) ->
     recording = measured.recording
     last = int(recording.station[np.argmax(recording.time)])
     kept = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
-    network = Network.of(adjust(kept, misalignment()))
-    points, position = network.state.points.copy(), network.state.position
+    network = Network.of(adjust(kept, misalignment_construction()))
+    points, position = network.state.target_points.copy(), network.state.station_positions
     points[kept.targets.index(recording.targets[3])] = position[last]
-    over = replace(network, state=replace(network.state, points=points))
+    over = replace(network, state=replace(network.state, target_points=points))
     words = [remedy.words for remedy in further_pointings(over) if "has not measured" in remedy.words]
     assert len(words) == 1
     assert f"({recording.targets[4]})" in words[0]

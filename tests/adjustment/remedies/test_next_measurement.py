@@ -23,7 +23,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.planning.objective import d_criterion
 from ltsim.recordings import Recording, write
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -55,7 +55,7 @@ def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: t
 def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still_decided(
     drifting: tuple[Recording, Truth],
 ) -> None:
-    adjusted = adjust(drifting[0], ideal())
+    adjusted = adjust(drifting[0], ideal_construction())
     asked = [explanation(space_of(adjusted, ()), name) for name in ("index-drift", "station-settling")]
     made = deciding(adjusted, asked, first_is_enough=True)
     assert made.proposals[0].evidence
@@ -64,7 +64,7 @@ def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still
 
 def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Recording, Truth]) -> None:
     """The best proposal, measured with noise and solved: the covariance is the promised one."""
-    recording, construction = drifting[0], misalignment()
+    recording, construction = drifting[0], misalignment_construction()
     made = next_measurement(recording)
     best = made.proposals[0].remedy.network
     added = np.arange(len(best.recording)) >= len(recording)
@@ -77,7 +77,7 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
 
 
 def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Recording, Truth]) -> None:
-    network = Network.of(adjust(drifting[0], misalignment()))
+    network = Network.of(adjust(drifting[0], misalignment_construction()))
     count, last = len(drifting[0]), drifting[0].time.max()
     later = [*further_pointings(network), *returns(network, 1200.0), *list(further_stations(network, 1200.0))[:8]]
     within = [*other_ways(network), *near_reflectors(network)]
@@ -91,11 +91,11 @@ def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Reco
 
 def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording, Truth]) -> None:
     recording, truth = drifting
-    adjustment = adjust(recording, misalignment())
+    adjustment = adjust(recording, misalignment_construction())
     plan = FloorPlan.of(recording, adjustment.state)
     assert plan.on_plan
-    assert plan.place(adjustment.state.position) == pytest.approx(truth.position, abs=0.1)
-    turned = [plan.yaw(rotation) for rotation in adjustment.state.rotation]
+    assert plan.place(adjustment.state.station_positions) == pytest.approx(truth.position, abs=0.1)
+    turned = [plan.yaw(rotation) for rotation in adjustment.state.station_rotations]
     true = np.arctan2(truth.rotation[:, 1, 0], truth.rotation[:, 0, 0])
     assert np.abs(np.angle(np.exp(1j * (turned - true)))).max() < 0.05
 
@@ -103,7 +103,7 @@ def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording,
 def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tuple[Recording, Truth]) -> None:
     """Noise drawn on the true effect: the mean advantage of the true one over its rival is the evidence (and a little
     more, as the rival is free to fit noise)."""
-    space = space_of(adjust(drifting[0], misalignment()))
+    space = space_of(adjust(drifting[0], misalignment_construction()))
     first, second = explanation(space, "index-drift"), explanation(space, "station-settling")
     expected = Rivals.of(space, first, second).now
     signature = space.project(space.signature(first.effect) @ first.values)[:, None]
@@ -128,7 +128,7 @@ def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tu
 
 
 def test_effects_that_cannot_be_compared_are_refused(drifting: tuple[Recording, Truth]) -> None:
-    space = space_of(adjust(drifting[0], misalignment()))
+    space = space_of(adjust(drifting[0], misalignment_construction()))
     with pytest.raises(ModelError, match="change of the noise"):
         explanation(space, "noise-level")
     with pytest.raises(ModelError, match="did you mean"):
@@ -183,7 +183,7 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
 def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_rivals() -> None:
     """The shortcut over stand-ins against all of them."""
     recording, _ = simulate(scenario(**{"index-drift": 60.0}), 5)
-    adjustment = adjust(recording, misalignment())
+    adjustment = adjust(recording, misalignment_construction())
     space = space_of(adjustment)
     explanations = [explanation(space, name) for name in ("index-drift", "station-settling")]
     rivals = Rivals.of(space_of(Network.of(adjustment).adjustment), *explanations)

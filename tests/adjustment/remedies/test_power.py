@@ -21,7 +21,7 @@ from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import drawn, network
 
 
@@ -29,8 +29,8 @@ class Search:
     """The search of a diagnosis on one network, with the threshold of its simulated null."""
 
     def __init__(self, faces: int) -> None:
-        recording, _ = network(values=drawn(misalignment(), 1), seed=1, faces=faces)
-        self.space = ResidualSpace.of(adjust(recording, misalignment()))
+        recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1, faces=faces)
+        self.space = ResidualSpace.of(adjust(recording, misalignment_construction()))
         self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
         self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
-from ltsim.physics.effects.effect import Effect, Mistake
+from ltsim.physics.effects.effect import Blunder, Effect
 from ltsim.physics.effects.motions import station_design
 from ltsim.scene.sightings import Sightings
 from tests.networks import STATIONS, YAWS, mesh, normals
@@ -79,8 +79,8 @@ def corrections(effect: Effect, sightings: Sightings) -> Floats:
 
 def all_candidates(kind: type[Effect], sightings: Sightings) -> list[Effect]:
     """What a diagnosis tries, and what it mends beforehand."""
-    if issubclass(kind, Mistake):
-        return list(kind.possible(sightings))
+    if issubclass(kind, Blunder):
+        return list(kind.possible_blunders(sightings))
     return list(kind.candidates(sightings))
 
 

@@ -12,7 +12,7 @@ from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
 from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity, vapour_pressure
 from ltsim.physics.effects.heat_plume import HeatPlume
-from ltsim.physics.effects.rays import bending, integrated_change
+from ltsim.physics.effects.rays import integrated_change, relative_index_change_per_kelvin
 from ltsim.physics.effects.turbulence import Turbulence
 from tests.physics.effects.scenes import corrections, left_over, lengths, scene
 
@@ -82,14 +82,14 @@ def test_gradient_agrees_with_the_integrated_ray() -> None:
     """To 1e-4: by halves of opposite gradients, which leave out the second order of n(T)."""
     effect = AirGradient()
     step = np.array([0.2])
-    exact = 0.5 * (effect.shift(SCENE, step) - effect.shift(SCENE, -step))
+    exact = 0.5 * (effect.reading_change(SCENE, step) - effect.reading_change(SCENE, -step))
     linear = effect.design(SCENE)[:, :, 0] * step[0]
     np.testing.assert_allclose(exact, linear, rtol=1e-4, atol=1e-14)
 
 
 def test_horizontal_gradient_bends_sideways() -> None:
     """The same integral along x: the azimuth of a level ray along y, and its range by the distance from the sensor."""
-    beta, slope = bending(), 0.05
+    beta, slope = relative_index_change_per_kelvin(), 0.05
 
     def change_by(slope: float) -> Floats:
         return integrated_change(
@@ -111,7 +111,7 @@ def test_network_absorbs_the_gradient_whole_and_neither_part_alone() -> None:
     whole = AirGradient().design(SCENE)[:, :, 0]
     size = np.linalg.norm(lengths(SCENE, whole))
     assert np.linalg.norm(left_over(SCENE, whole, scale=True)) < 1e-9 * size
-    exact = AirGradient().shift(SCENE, np.array([0.1])) / 0.1
+    exact = AirGradient().reading_change(SCENE, np.array([0.1])) / 0.1
     assert np.linalg.norm(left_over(SCENE, exact, scale=True)) < 1e-3 * size
     bending, range_ = whole * [0.0, 1.0, 1.0], whole * [1.0, 0.0, 0.0]
     left = [left_over(SCENE, part, scale=True) for part in (bending, range_)]
@@ -124,7 +124,9 @@ def test_sensor_on_the_head_leaves_a_scale_at_each_station() -> None:
     """beta G z_sensor."""
     room, head = (AirGradient(sensor=place).design(SCENE)[:, :, 0] for place in ("room", "head"))
     height = SCENE.position[SCENE.station, 2] - SCENE.points[:, 2].mean()
-    np.testing.assert_allclose((room - head)[:, 0], -bending() * height * SCENE.range_, atol=1e-15)
+    np.testing.assert_allclose(
+        (room - head)[:, 0], -relative_index_change_per_kelvin() * height * SCENE.range_, atol=1e-15
+    )
     np.testing.assert_allclose((head - room)[:, 1:], 0.0)
     assert np.linalg.norm(left_over(SCENE, head, scale=True)) > 1e-8
 
@@ -138,7 +140,7 @@ def test_a_layer_lies_above_the_network_wherever_its_frame_is() -> None:
     np.testing.assert_allclose(here[3].design(SCENE), here[3].design(lifted), atol=1e-13)
     tall = replace(SCENE, points=SCENE.points * [1.0, 1.0, 20.0])
     for effect in AirLayer.candidates(tall):
-        low, high = AirLayer.shape[0].bracket(effect.height)
+        low, high = AirLayer.shape_parameters[0].neighbouring_grid_interval(effect.height)
         assert low <= effect.height <= high
 
 
@@ -147,7 +149,7 @@ def test_wide_layer_is_a_gradient() -> None:
     width, height = 60.0, float(SCENE.points[:, 2].mean() - FLOOR)
     layer = AirLayer(height=height, width=width).design(SCENE)[:, :, 0] * 4 * width
     gradient = AirGradient().design(SCENE)[:, :, 0]
-    layer[:, 0] += bending() * 0.5 * 4 * width * SCENE.range_
+    layer[:, 0] += relative_index_change_per_kelvin() * 0.5 * 4 * width * SCENE.range_
     size = np.abs(gradient).max(axis=0)
     assert (np.abs(layer - gradient).max(axis=0) <= 1e-3 * size).all()
 
@@ -164,7 +166,7 @@ def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLaye
         return step[0] * warm, step[0] * gradient
 
     coarse, fine = integrated_change(SCENE, field), integrated_change(SCENE, field, steps=256)
-    mask = effect.mask(SCENE)[:, None]
+    mask = effect.row_weights(SCENE)[:, None]
     linear = effect.design(SCENE) @ step
     size = np.abs(linear).max(axis=0)
     assert (np.abs(coarse - fine).max(axis=0) < 1e-3 * size + 1e-14).all()

@@ -58,7 +58,7 @@ PARITY: list[tuple[Effect, list[float]]] = [
     (HeatPlume(("S1",), offset=(0.3, 0.2, 0.1)), [SAME]),
     (SmrCentring(), [SAME] * 3),
     (SmrDihedral((), ("T05",)), [SAME, SAME]),
-    (Window(("S1",), normal=(0.6, 0.8, 0.0)), [SAME]),
+    (Window(("S1",), pane_normal=(0.6, 0.8, 0.0)), [SAME]),
     (SmrOffset(("S1",)), [SAME]),
     (NestLift(("S1",), ("T03",), kind="free"), [SAME] * 3),
     (TargetMoved((), ("T03",)), [SAME] * 3),

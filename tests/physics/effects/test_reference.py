@@ -22,7 +22,7 @@ from ltsim.physics.effects.mesh_expansion import MeshExpansion
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.outlier import Outlier
-from ltsim.physics.effects.range_cyclic import LONGEST, SHORTEST, RangeCyclic
+from ltsim.physics.effects.range_cyclic import MAX_WAVELENGTH, MIN_WAVELENGTH, RangeCyclic
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
@@ -106,7 +106,7 @@ def test_search_for_a_wavelength_misses_little() -> None:
     tried = RangeCyclic.candidates(SCENE)
     waves = np.array([e.wavelength for e in tried])
     rng = np.random.default_rng(3)
-    for wavelength in 1 / rng.uniform(1 / LONGEST, 1 / SHORTEST, 60):
+    for wavelength in 1 / rng.uniform(1 / MAX_WAVELENGTH, 1 / MIN_WAVELENGTH, 60):
         wave = np.cos(2 * np.pi * SCENE.range_ / wavelength + rng.uniform(0, 6))
         near = np.argsort(np.abs(1 / waves - 1 / wavelength))[:2]
         shares = []
@@ -156,7 +156,7 @@ def test_steel_grows_by_69_um_over_6_m_and_one_kelvin() -> None:
     rate = np.array([11.5 * FACTOR["ppm/h"] / hours])
     late = replace(rows, time=rows.time)
     both = chosen(SCENE, [int(np.argmin(SCENE.time)), int(np.argmax(SCENE.time))])
-    moved = MeshExpansion(mode="uniform").shift(both, rate)[1]
+    moved = MeshExpansion(mode="uniform").reading_change(both, rate)[1]
     arm = SCENE.points[late.target[0]] - SCENE.points.mean(axis=0)
     expected = both.by_target[1] @ (11.5e-6 * arm)
     np.testing.assert_allclose(moved, expected, rtol=1e-3, atol=1e-12)
@@ -232,7 +232,7 @@ def test_window_of_three_millimetres(degrees: float, along: float, across: float
     beam, left, _ = (v[0] for v in one.unit_vectors)
     angle = np.radians(degrees)
     normal = tuple(float(x) for x in np.cos(angle) * beam + np.sin(angle) * left)
-    change = Window(normal=normal).design(one)[:, :, 0] * 3e-3  # type: ignore[arg-type]
+    change = Window(pane_normal=normal).design(one)[:, :, 0] * 3e-3  # type: ignore[arg-type]
     found = lengths(one, change)[0]
     assert 1e3 * found[0] == pytest.approx(along, abs=5e-4)
     assert 1e3 * abs(found[1]) == pytest.approx(across, abs=5e-3)
@@ -243,7 +243,7 @@ def test_window_of_three_millimetres(degrees: float, along: float, across: float
 def test_other_ball_lifts_every_target_of_the_station_along_its_normal() -> None:
     """12.7 mm for 1.5 in taken for 0.5 in."""
     assert pytest.approx(12.7) == 25.4 / 2 * (1.5 - 0.5)
-    change = SmrOffset(("S2",)).shift(SCENE, np.array([12.7e-3]))
+    change = SmrOffset(("S2",)).reading_change(SCENE, np.array([12.7e-3]))
     lifted = SCENE.points + 12.7e-3 * np.nan_to_num(SCENE.nest_normal)
     other = replace(SCENE, points=lifted)
     here = SCENE.station == 1
@@ -265,7 +265,7 @@ def test_moved_target_is_seen_in_the_same_direction_from_all_stations_afterwards
     moved = SCENE.points.copy()
     motion = np.array([40e-6, 30e-6, -20e-6])
     moved[4] += motion
-    change = TargetMoved((), ("T05",), step).shift(SCENE, motion)
+    change = TargetMoved((), ("T05",), step).reading_change(SCENE, motion)
     gap = replace(SCENE, points=moved).raw - SCENE.raw
     np.testing.assert_array_equal(np.flatnonzero(change.any(axis=1)), rows[4:])
     np.testing.assert_allclose(change[rows[4:]], gap[rows[4:]], atol=1e-14)
@@ -290,7 +290,7 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     """63 % of the motion after one time constant; readings of a moved station, not corrections."""
     values = np.array([10e-6, -5e-6, 30e-6])
     effect = StationSettling(("S1",), time_constant=300.0)
-    change = effect.shift(SCENE, values)
+    change = effect.reading_change(SCENE, values)
     row = int(np.argmin(np.abs(SCENE.station_time - 300.0) + 1e9 * (SCENE.station != 0)))
     share = 1 - np.exp(-SCENE.station_time[row] / 300.0)
     assert share == pytest.approx(0.632, abs=0.02)
@@ -320,7 +320,7 @@ def test_levelling_error_is_only_another_pose_where_poses_are_free() -> None:
 
 def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
     """An instrument that leans about its x axis by b sees everything turned by -b about it."""
-    change = StationLevelling().shift(SCENE, np.array([20e-6, 0.0]))
+    change = StationLevelling().reading_change(SCENE, np.array([20e-6, 0.0]))
     turned = SCENE.local @ from_rotation_vector(np.array([20e-6, 0.0, 0.0]))
     gap = to_face(to_polar(turned), SCENE.face) - SCENE.raw
     gap[:, 1] = wrap(gap[:, 1])
@@ -338,24 +338,24 @@ def test_lag_is_the_rate_of_the_approach() -> None:
 
 
 def test_swapped_targets_read_each_other() -> None:
-    change = TargetSwap(("S3",), ("T02", "T09")).shift(SCENE, np.ones(1))
+    change = TargetSwap(("S3",), ("T02", "T09")).reading_change(SCENE, np.ones(1))
     swapped = SCENE.target.copy()
     swapped[SCENE.target == 1], swapped[SCENE.target == 8] = 8, 1
     gap = replace(SCENE, target=swapped).raw - SCENE.raw
     gap[:, 1] = wrap(gap[:, 1])
     gap[SCENE.station != 2] = 0.0
     np.testing.assert_allclose(change, gap, atol=1e-12)
-    assert len(TargetSwap.possible(SCENE)) == 5 * 28 * 27 // 2
+    assert len(TargetSwap.possible_blunders(SCENE)) == 5 * 28 * 27 // 2
 
 
 def test_confused_faces_twice_are_right_again() -> None:
     confused = FaceConfusion(("S1",), face=2)
-    once = SCENE.raw + confused.shift(SCENE, np.ones(1))
+    once = SCENE.raw + confused.reading_change(SCENE, np.ones(1))
     here = (SCENE.station == 0) & (SCENE.face == 2)
     front = SCENE.polar[here]
     np.testing.assert_allclose(wrap(once[here, 1:] - front[:, 1:]), 0.0, atol=1e-12)
     np.testing.assert_array_equal(once[~here], SCENE.raw[~here])
-    back = FaceConfusion(("S1",), face=1).shift(replace(SCENE, face=np.where(here, 1, SCENE.face)), np.ones(1))
+    back = FaceConfusion(("S1",), face=1).reading_change(replace(SCENE, face=np.where(here, 1, SCENE.face)), np.ones(1))
     np.testing.assert_allclose(wrap((once + back)[here, 1:] - SCENE.raw[here, 1:]), 0.0, atol=1e-12)
 
 
@@ -365,9 +365,9 @@ def test_wrong_units_have_the_ratios_of_their_units() -> None:
     here = SCENE.station == 1
     for mistake, (column, factor) in factors.items():
         effect = WrongUnit(("S2",), mistake=mistake)  # type: ignore[arg-type]
-        read = SCENE.raw + effect.shift(SCENE, np.ones(1))
+        read = SCENE.raw + effect.reading_change(SCENE, np.ones(1))
         np.testing.assert_allclose(read[here, column], factor * SCENE.raw[here, column])
-    zenith = SCENE.raw + WrongUnit(("S2",), mistake="zenith").shift(SCENE, np.ones(1))
+    zenith = SCENE.raw + WrongUnit(("S2",), mistake="zenith").reading_change(SCENE, np.ones(1))
     np.testing.assert_allclose(zenith[here, 2], np.pi / 2 - SCENE.raw[here, 2])
 
 

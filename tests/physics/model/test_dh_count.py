@@ -21,7 +21,7 @@ import pytest
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z, cross_matrix
-from ltsim.physics.model.construction import dh
+from ltsim.physics.model.construction import dh_construction
 from ltsim.scene.sightings import Sightings
 
 MESH, GAUGE, STATIONS = 24, 4, 5
@@ -69,7 +69,7 @@ class Design:
     gauge_by_target: Floats
 
     def column(self, *names: str) -> Floats:
-        return self.instrument[:, [dh().index(name) for name in names]]
+        return self.instrument[:, [dh_construction().index(name) for name in names]]
 
     @property
     def gauge(self) -> tuple[Floats, Floats]:
@@ -82,9 +82,9 @@ class Design:
 
 @cache
 def design(faces: tuple[int, ...], seed: int) -> Design:
-    sightings, made = reference_network(faces, seed), dh()
+    sightings, made = reference_network(faces, seed), dh_construction()
     count, each = len(sightings), np.arange(len(sightings))
-    _, by_value = made.reading_design(sightings.raw, np.zeros(made.size))
+    _, by_value = made.reading_design(sightings.raw, np.zeros(made.n_parameters))
     arm = sightings.points[sightings.target] - sightings.position[sightings.station]
     pose = np.zeros((count, 3, STATIONS, 6))
     pose[each, :, sightings.station, :3] = -sightings.by_target
@@ -144,7 +144,7 @@ def test_the_count(faces: tuple[int, ...], seed: int) -> None:
     known_targets = gapped_rank(without(d.instrument, d.pose))
     free_targets = gapped_rank(without(d.instrument, np.hstack([d.pose, d.target])))
     with_gauge = gapped_rank(without(*d.gauge))
-    assert (dh().size, effective) == (78, 78 - 14)
+    assert (dh_construction().n_parameters, effective) == (78, 78 - 14)
     assert (everything_known, known_targets, free_targets, with_gauge) == (53, 47, 46, 47)
 
 
@@ -157,7 +157,11 @@ def test_the_network_itself_lacks_only_its_datum(faces: tuple[int, ...], seed: i
 
 def test_the_fourteen_without_effect() -> None:
     d = design((1, 2), 0)
-    silent = {n for n, c in zip(dh().names, d.instrument.T, strict=True) if np.linalg.norm(c) < ROUNDING}
+    silent = {
+        n
+        for n, c in zip(dh_construction().parameter_names, d.instrument.T, strict=True)
+        if np.linalg.norm(c) < ROUNDING
+    }
     beam = {f"J2.eZ_{suffix}" for suffix in ("c", "sin", "cos", "sin2", "cos2")}
     assert silent == beam | {f"T.e{axis}_{k}" for axis in "XYZ" for k in range(3)}
 

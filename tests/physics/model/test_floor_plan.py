@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.geometry.rotations import about_z, from_rotation_vector
-from ltsim.physics.model.measurement import State, plan_rotation, sightings_of
+from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
@@ -17,7 +17,7 @@ ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))
 """Room to network, as after an adjustment in a station's frame."""
 
 
-def recording_with(**stated: object) -> tuple[Recording, State]:
+def recording_with(**stated: object) -> tuple[Recording, NetworkState]:
     """The test network with a rough floor plan, its state in a frame of its own."""
     recording, truth = network(faces=1)
     rough = np.random.default_rng(5)
@@ -29,8 +29,11 @@ def recording_with(**stated: object) -> tuple[Recording, State]:
         }
         stations[name] = Station.model_validate({k: plan[k] for k in plan if k in stated})
     setup = recording.setup.model_copy(update={"stations": stations})
-    state = State(
-        truth.state.position @ ROOM.T, ROOM @ truth.state.rotation, truth.state.points @ ROOM.T, truth.state.instrument
+    state = NetworkState(
+        truth.state.station_positions @ ROOM.T,
+        ROOM @ truth.state.station_rotations,
+        truth.state.target_points @ ROOM.T,
+        truth.state.instrument_parameters,
     )
     return recording.replace(setup=setup), state
 
@@ -54,7 +57,7 @@ def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
 
 def test_without_a_plan_nothing_is_turned() -> None:
     recording, state = recording_with()
-    np.testing.assert_array_equal(plan_rotation(recording, state.position, state.rotation), np.eye(3))
+    np.testing.assert_array_equal(plan_rotation(recording, state.station_positions, state.station_rotations), np.eye(3))
 
 
 def test_rough_places_do_not_lean_the_room() -> None:
