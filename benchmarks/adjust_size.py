@@ -94,7 +94,7 @@ def measured(case: Case) -> dict[str, float | str]:
         raise RuntimeError("the statistics are not what they should be")
     return {
         "network": kind, "construction": built, "set_ups": stations, "targets": len(recording.targets),
-        "pointings": len(recording), "unknowns": found.problem.unknowns.size, "adjust_s": round(best[1], 3),
+        "pointings": len(recording), "unknowns": found.problem.unknowns.n_columns, "adjust_s": round(best[1], 3),
         "all_s": round(best[0], 3), "wall_s": round(best[2], 3),
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
         "before_mb": round(before), "sigma0": round(found.sigma0, 4),

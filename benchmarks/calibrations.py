@@ -33,7 +33,7 @@ from benchmarks.peers import (
     scipy_differences,
 )
 from ltsim.adjustment import adjust
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import BatchCalibrator, recording_of
 from ltsim.campaigns.judge import TrialEvaluator
@@ -65,7 +65,7 @@ def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: F
     if full is None:
         return float("nan")
     z = np.abs(values - own[0]) / engine.network.sigma_values[0]
-    gap = np.abs(on_points(points, full.state.target_points) - full.state.target_points) / engine.sigma_targets
+    gap = np.abs(align_to_points(points, full.state.target_points) - full.state.target_points) / engine.sigma_targets
     return float(max(z.max(), gap.max()))
 
 

@@ -14,7 +14,7 @@ from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
-from ltsim.simulation.draws import TrialDraws
+from ltsim.simulation.draws import TrialDistributions
 from ltsim.simulation.scenario import load_scenario
 
 
@@ -57,14 +57,14 @@ def room(stations: int, targets: int) -> CellTruth:
     built = misalignment_construction()
     state = NetworkState(position, rotation, points, np.zeros((1, built.n_parameters)))
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    population = TrialDraws(
+    population = TrialDistributions(
         sightings=sightings_of(recording, state),
         construction=built,
         instruments=("",),
-        mean=0 * sigma,
-        sigma=sigma,
-        noise=recording.sigma(),
-        lengths=ReferenceLengths.of(recording),
-        names=names,
+        instrument_means=0 * sigma,
+        instrument_sigmas=sigma,
+        noise_sigmas=recording.sigma(),
+        reference_lengths=ReferenceLengths.of(recording),
+        length_end_names=names,
     )
     return CellTruth(recording, state, population)

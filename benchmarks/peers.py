@@ -132,7 +132,7 @@ class DenseProblem:
 
     def _add_known(self, design: Floats, points: Floats, start: int, poses: int) -> None:
         gauge = self._gauge
-        unit = gauge.directions(points) / gauge.sigma[:, None]
+        unit = gauge.unit_vectors(points) / gauge.sigma[:, None]
         at = start + np.arange(len(gauge))[:, None]
         design[at, poses + 3 * gauge.first[:, None] + np.arange(3)] = unit
         design[at, poses + 3 * gauge.second[:, None] + np.arange(3)] = -unit

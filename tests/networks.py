@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import ShareRemoved, cloud_error, measured_points, on_points
+from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, cloud_error, measured_points
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z
@@ -123,13 +123,15 @@ def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed
 
 def share_removed(
     recording: Recording, points: Floats, construction: Construction, *, calibrated: Floats, true_parameters: Floats
-) -> ShareRemoved:
+) -> CalibrationErrors:
     """Errors of what the stations measured against true points (T, 3): raw, calibrated, with the true parameters."""
     sizes = (None, calibrated, true_parameters)
-    return ShareRemoved(*(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes))
+    return CalibrationErrors(
+        *(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes)
+    )
 
 
 def target_error(points: Floats, true_points: Floats) -> float:
     """Rms [m] over targets (T, 3) of the distance of adjusted targets to the truth, after one rigid fit."""
-    gap = on_points(points, true_points) - true_points
+    gap = align_to_points(points, true_points) - true_points
     return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=1))))

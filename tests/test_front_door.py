@@ -165,7 +165,7 @@ def test_a_bare_text_is_one_name_and_effects_are_objects_or_words(recording):
     words = lt.calibrate(recording, with_effects="index-drift:S3", parameters="beam-tilt", advise=False)
     made = lt.calibrate(recording, with_effects=lt.Effect("index-drift", stations="S3"), parameters=["beam-tilt"])
     assert words.effects == made.effects
-    assert int((~words.held).sum()) == 1
+    assert int((~words.is_fixed).sum()) == 1
     assert lt.adjust(recording, datum=["T01", "T05", "T12"]).frame.endswith("T01, T05, T12")
     with pytest.raises(ModelError, match="no constant called 'colour'"):
         lt.Effect("index-drift", colour="red")
@@ -183,7 +183,7 @@ def test_an_effect_of_a_class_of_ones_own_is_fitted(recording):
 def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
     calibration = lt.calibrate(recording, advise=False)
     lt.write(calibration, tmp_path / "folder")
-    assert lt.read(tmp_path / "folder").names == calibration.names
+    assert lt.read(tmp_path / "folder").names == calibration.instrument_parameter_names
     truth = lt.simulate("paper-workshop").truth
     lt.write(truth, tmp_path / "truth.json")
     assert lt.read(tmp_path / "truth.json").construction == truth.construction

@@ -78,7 +78,7 @@ def _space() -> ResidualSpace:
     recording, _ = simulate(load_scenario(SCENARIO), SEED)
     adjustment = lt.adjust(recording).adjustment
     assert isinstance(adjustment, Adjustment)
-    return ResidualSpace.of(adjustment)
+    return ResidualSpace.from_adjustment(adjustment)
 
 
 def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:

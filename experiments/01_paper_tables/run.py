@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.common import Made, Options, cells_of, summary, write_figure, write_table
-from ltsim.adjustment.evaluation.clouds import in_first_frame, on_points
+from ltsim.adjustment.evaluation.clouds import align_to_first_station, align_to_points
 from ltsim.adjustment.evaluation.criteria import (
-    Differences,
+    StationDisagreement,
     coordinate_differences,
     coordinate_errors,
     distance_differences,
@@ -20,7 +20,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PAPER, TrialDistribution, distributions
-from ltsim.simulation.gauge import nominal_points
+from ltsim.simulation.gauge import measure_nominal_points
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
@@ -33,7 +33,9 @@ TABLES = {
 """Tables 3 and 4 of the paper [um, %]."""
 
 
-def named(distance: Differences, coordinate: Differences, length: float, place: float) -> dict[str, float]:
+def named(
+    distance: StationDisagreement, coordinate: StationDisagreement, length: float, place: float
+) -> dict[str, float]:
     """Both criteria [um], with the largest of all single terms, before any average."""
     ends = (("distance", distance, length), ("coordinate", coordinate, place))
     sizes = {f"{kind}_{{}}_{which}": size for kind, found, single in ends
@@ -49,7 +51,7 @@ def pair_distances(cloud: Floats) -> Floats:
 
 def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]:
     """Both criteria of clouds (S, T, 3) [m]."""
-    lengths, placed = pair_distances(clouds), in_first_frame(clouds, names)
+    lengths, placed = pair_distances(clouds), align_to_first_station(clouds, names)
     gaps, apart = lengths - lengths.mean(axis=0), np.linalg.norm(placed[:, None] - placed[None], axis=3)
     return named(distance_differences(clouds), coordinate_differences(placed), np.abs(gaps).max(), apart.max())
 
@@ -57,7 +59,7 @@ def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]
 def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
     """Equations 13 and 14 as meant, of clouds (S, T, 3) [m] against nominal points (T, 3) [m]."""
     gaps = pair_distances(clouds) - pair_distances(nominal)
-    miss = [np.linalg.norm(on_points(cloud, nominal) - nominal, axis=1).max() for cloud in clouds]
+    miss = [np.linalg.norm(align_to_points(cloud, nominal) - nominal, axis=1).max() for cloud in clouds]
     return named(distance_errors(clouds, nominal), coordinate_errors(clouds, nominal), np.abs(gaps).max(), max(miss))
 
 
@@ -73,7 +75,7 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataF
         there, elsewhere, _ = work.new_points
         room, names = there.truth, here.truth.recording.stations
         true = (room.state.target_points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
-        nominal = {i: nominal_points(*true, int(block.trials[i])) for i in wanted}
+        nominal = {i: measure_nominal_points(*true, int(block.trials[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):

@@ -7,7 +7,7 @@ import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.engine import Calibrated, recording_of
 from ltsim.campaigns.rows import CellContext, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
@@ -43,20 +43,20 @@ class WithoutOutliers:
         for i in wanted:
             adjustment = self.cleaned(recording_of(self.truth, block, int(i)))
             values[0, :, i] = adjustment.state.instrument_parameters[0]
-            points[:, :, i] = on_points(adjustment.state.target_points, true) - true
+            points[:, :, i] = align_to_points(adjustment.state.target_points, true) - true
             chi2[i] = adjustment.chi2
         return Calibrated(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
 
     def cleaned(self, recording: Recording) -> Adjustment:
         """The adjustment that no reading contradicts any more."""
         use = np.ones(recording.readings.shape, dtype=bool)
-        adjustment = adjust(recording, self.construction, use=use)
+        adjustment = adjust(recording, self.construction, reading_mask=use)
         for _ in range(MOST_REMOVED):
-            found = adjustment.outliers()
+            found = adjustment.flagged_readings()
             if not found:
                 break
-            use[found[0].row, found[0].observable] = False
-            adjustment = adjust(recording, self.construction, use=use, start=adjustment.state)
+            use[found[0].row, found[0].observable_column] = False
+            adjustment = adjust(recording, self.construction, reading_mask=use, start=adjustment.state)
         return adjustment
 
     def difference(self, block: TrialBatch, trial: int, found: Calibrated) -> float:

@@ -17,7 +17,7 @@ from experiments.common import Made, Options, run_steps, show_table, tell
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.prior_information import Choice
+from ltsim.calibration.prior_information import ParameterSelection
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -74,7 +74,7 @@ def own(out: Path) -> None:
             )
             continue
         off = 1e6 * float(np.abs(beside(ours, theirs)[0] - theirs.value).max())
-        agree = ours.solution.converged and off < AGREE_UM
+        agree = ours.solution.has_converged and off < AGREE_UM
         found.setdefault("agree" if agree else "differ", []).append((file.stem, off))
     show_table(out / "gama_own.csv", [
         {
@@ -107,7 +107,7 @@ def to_marks(ours: Adjustment) -> Recording:
         setup=recording.setup.model_copy(update={"targets": targets, "stations": stations}),
         covariates={k: v for k, v in recording.covariates.items() if k not in HEIGHT_COLUMNS},
     )
-    marks = ours.state.station_positions - ours.problem.marks.offset
+    marks = ours.state.station_positions - ours.problem.marks.instrument_offsets
     state = NetworkState(
         marks, ours.state.station_rotations, ours.state.target_points, ours.state.instrument_parameters
     )
@@ -121,16 +121,16 @@ def best_turns(ours: Adjustment, name: str) -> float:
     for point, axis, value in zip(theirs.names, theirs.axis, theirs.value, strict=True):
         if point in recording.targets:
             points[recording.targets.index(point), axis] = value
-        for s, mark in enumerate(marks.names):
+        for s, mark in enumerate(marks.mark_names):
             if mark == point:
-                position[s, axis] = value + marks.offset[s, axis]
+                position[s, axis] = value + marks.instrument_offsets[s, axis]
     state = NetworkState(position, ours.state.station_rotations, points, ours.state.instrument_parameters)
-    free = np.isin(np.arange(ours.problem.unknowns.size), ours.problem.unknowns.pose[:, 3:])
+    free = np.isin(np.arange(ours.problem.unknowns.n_columns), ours.problem.unknowns.pose_columns[:, 3:])
 
     def residual(turns: np.ndarray) -> np.ndarray:
         step = np.zeros(len(free))
         step[free] = turns
-        return ours.problem.residual(ours.problem.retract(state, step))
+        return ours.problem.whitened_residuals(ours.problem.retract(state, step))
 
     return float(2 * least_squares(residual, np.zeros(free.sum()), xtol=1e-12, ftol=1e-12).cost)
 
@@ -172,15 +172,16 @@ def state_of(found: Adjustment) -> dict[str, object]:
     recording = found.recording
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
-        "left_out": int(found.rejected.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
-        "outliers_w": len(found.outliers()), "outliers_tau": len(found.outliers(estimated=True)),
+        "left_out": int(found.is_rejected.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
+        "outliers_w": len(found.flagged_readings()),
+        "outliers_tau": len(found.flagged_readings(uses_estimated_noise=True)),
     }  # fmt: skip
 
 
 def what_does_not_fit(found: Adjustment) -> Rows:
     """Readings left out, with the error they show against the network without them."""
     rows: Rows = []
-    for i, j in np.argwhere(found.rejected):
+    for i, j in np.argwhere(found.is_rejected):
         miss, range_ = found.residuals[i, j], found.recording.readings[i, 0]
         rows.append({
             "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],
@@ -195,7 +196,8 @@ def components(found: Adjustment) -> Rows:
     """Variance components with instruments numbered."""
     number = {name: i + 1 for i, name in enumerate(found.recording.instruments)}
     return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.factor:.3f}",
-             "sigma": f"{c.sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"} for c in found.components]  # fmt: skip
+             "sigma": f"{c.factor_sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"}
+            for c in found.variance_components]  # fmt: skip
 
 
 RING = "field/esrf.lgc2"
@@ -206,9 +208,9 @@ CLEAR = 8.0
 def ring(out: Path) -> None:
     """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
     recording = read(DATA / RING)
-    space = ResidualSpace.of(adjust(recording, misalignment_construction()))
-    left = np.full(space.use.shape, np.nan)
-    left[space.use] = space.residual[: int(space.use.sum())]
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
+    left = np.full(space.used_readings.shape, np.nan)
+    left[space.used_readings] = space.residuals[: int(space.used_readings.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
     half = np.zeros(len(recording), dtype=int)
     for owner in np.unique(tracker):
@@ -243,7 +245,7 @@ def geoeasy(out: Path) -> None:
     for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
         for way, options in (("as stated", {}), ("noise estimated", {"variance_components": "observable"})):
             found = adjust(recording, built, robust=bool(options), **options)
-            factors = {c.observable: f"{c.factor:.2f}" for c in found.components}
+            factors = {c.observable: f"{c.factor:.2f}" for c in found.variance_components}
             rows.append({"parameters": name, "way": way} | state_of(found) | factors)
     show_table(out / "geoeasy.csv", rows)
     values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.instrument_covariance))
@@ -288,8 +290,8 @@ def choice_of_parameters(known: bool) -> Rows:
     """`ltsim calibrate --parameters` with the four that the exercise has, beside all sixteen."""
     recording = scanner(known)
     every, four = (
-        calibrate_network(recording, advise=False, weigh=False, choice=choice)
-        for choice in (Choice(), Choice(parameters=tuple(SCANNER_TRUTH)))
+        calibrate_network(recording, recommend_measurements=False, choose_correction=False, parameter_selection=choice)
+        for choice in (ParameterSelection(), ParameterSelection(estimated_parameters=tuple(SCANNER_TRUTH)))
     )
     rows: Rows = []
     for p in PARAMETERS:
@@ -297,9 +299,9 @@ def choice_of_parameters(known: bool) -> Rows:
                                   "truth": SCANNER_TRUTH[p.name]}  # fmt: skip
         sigmas = []
         for label, found in (("16", every), ("4", four)):
-            k = found.names.index(p.name)
+            k = found.instrument_parameter_names.index(p.name)
             sigmas.append(found.sigma[0, k])
-            row[f"found_{label}"] = f"{found.values[0, k] / p.si_per_display_unit:.1f}"
+            row[f"found_{label}"] = f"{found.estimates[0, k] / p.si_per_display_unit:.1f}"
             row[f"sigma_{label}"] = f"{sigmas[-1] / p.si_per_display_unit:.2f}"
         rows.append(row | {"sigma_ratio": f"{sigmas[0] / sigmas[1]:.1f}"})
     return rows

@@ -15,7 +15,7 @@ from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
-from ltsim.simulation.workshop import visibility_of
+from ltsim.simulation.workshop import make_visibility
 
 MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 700, 0), yaw_deg=20)
 
@@ -53,7 +53,7 @@ def run(given: Options) -> Made:
     )
     rows = [row(name, scenario, survey) for name, scenario, survey in layouts]
     show_table(given.out / "layouts.csv", rows)
-    lost = visibility_of(full).lost(tuple(full.stations), full.target_names)
+    lost = make_visibility(full).lost(tuple(full.stations), full.target_names)
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (("paper_machine", full), ("plan_machine", planned_scenario(plans["machine"]))):
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))

@@ -82,7 +82,7 @@ def gama(recording: Path, out: Path) -> None:
 
     read = lt.read(str(recording))
     found = lt.calibrate(read, advise=False)
-    ideal = corrected_readings(read, found.construction, found.values[read.instrument])
+    ideal = corrected_readings(read, found.construction, found.estimates[read.instrument])
     upright = np.stack([about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in found.adjustment.state.station_rotations])
     local = from_polar(to_face(ideal, read.face))
     level = to_face(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)

@@ -15,7 +15,7 @@ from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS
-from ltsim.simulation.inject import Injection
+from ltsim.simulation.inject import RecordingWithInjection
 
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""
@@ -71,7 +71,9 @@ def key(told: Finding) -> Any:
     return told.where.model_copy(update={"covariates": ()})
 
 
-def injection(network: Row, kind: str, strength: float, trial: int, seed: int, told_noise: bool = False) -> Injection:
+def injection(
+    network: Row, kind: str, strength: float, trial: int, seed: int, told_noise: bool = False
+) -> RecordingWithInjection:
     """A cause of a kind in the recording of a network; raises ModelError where the network shows no such cause."""
     recording, weighted, _ = background(network["file"], network.get("clockwise", False), told_noise)
     rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])

@@ -40,7 +40,7 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_no
         drawn, truth = injection(network, kind, strength, trial, seed, told_noise)
     except ModelError:
         return row | {"hidden": True}
-    start, cause = time.perf_counter(), truth.causes[0].cause
+    start, cause = time.perf_counter(), truth.injected_effects[0].effect
     try:
         told = lt.diagnose(recording.with_readings(drawn.readings), held_out=False).findings
     except (ArithmeticError, ValueError, LtsimError) as error:  # a diagnosis that breaks down has found nothing
@@ -50,7 +50,7 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_no
     mine = [f for f in fresh if f in here or named(cause, f)]
     again = [f for f in fresh if f not in mine and any(f.effect == b.effect or key(f) == key(b) for b in before)]
     where = " ".join([*cause.stations, *cause.targets])
-    largest = truth.causes[0].largest
+    largest = truth.injected_effects[0].largest_changes
     return row | {
         "hidden": False, "where": where, "found": bool(mine), "placed": bool(here),
         "right": any(named(cause, f) for f in here), "new": len(fresh), "injected": len(mine), "retold": len(again),

@@ -45,7 +45,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     bank = NoiseBank.of(space, noise_hypotheses(sightings, instruments))
     cards = CatalogueSignatures.of(space, catalogue_hypotheses(sightings, instruments))
     values, chance = cards.score(probe)
-    own = np.append(bank.family_evidence(space.residual[:, None], space.redundancy)[:, 0], -np.inf)
+    own = np.append(bank.family_evidence(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.family_evidence(probe.trials.astype(np.float64), space.redundancy)
     share, families = log_share("named", len(cards.families)), cards.family_evidence(values)
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
@@ -66,7 +66,7 @@ def chances(name: str) -> dict[str, float]:
     """The p-value of the search, whole and without each part, and of chi-square alone."""
     recording = lt.read(WORK / make.RECORDINGS / name)
     adjusted = adjust(recording, declared_construction(recording))
-    parts = parts_of(ResidualSpace.of(adjusted))
+    parts = parts_of(ResidualSpace.from_adjustment(adjusted))
     told = {CHI2: adjusted.p_value, WHOLE: p_value([s for some in parts.values() for s in some])}
     for what, kept in {"without laws": (CARDS, NOISE), "curves of readings alone": ("reading",)}.items():
         alone = [s for (carrier, driver), some in parts.items() if carrier in kept for s in some

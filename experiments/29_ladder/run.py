@@ -21,7 +21,7 @@ import pandas as pd
 import ltsim as lt
 from experiments.common import Made, Options, Row, show_table, tell, write_table
 from experiments.intervals import share
-from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.identification.tests import CauseTest
 from ltsim.core.errors import LtsimError
 from ltsim.core.parallel import parallel
 from ltsim.diagnosis.schema import Finding
@@ -64,7 +64,7 @@ def _coordinates(result: Any, count: int) -> np.ndarray:
     return np.asarray(1e-3 * table.reindex(names)[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float))
 
 
-def _where(one: Test | Finding) -> tuple[set[str], set[str]]:
+def _where(one: CauseTest | Finding) -> tuple[set[str], set[str]]:
     return set(one.where.stations), set(one.where.targets)
 
 

@@ -75,10 +75,10 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
         mean, covariance = np.zeros(built.n_parameters), np.diag(prior**2)
         of = f"an instrument like the {limits.name or 'nominal'}"
     else:
-        mean, covariance = calibration.values[0], calibration.covariance
+        mean, covariance = calibration.estimates[0], calibration.covariance
         of = "the instrument without calibration"
         if acceptance.corrected:
-            mean, of = mean - calibration.applied[0], "the corrected instrument"
+            mean, of = mean - calibration.applied_values[0], "the corrected instrument"
     plan = AcceptancePlan(tests, built, limits, nominal.noise)
     outcome = plan.predict(mean, covariance, trials=acceptance.trials, seed=acceptance.seed)
     return predicted(plan, outcome, prior, acceptance, of=of)
@@ -144,7 +144,7 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
         raise NetworkError("the recording has one station; the network method needs at least two")
     adjustment = adjust(recording, declared_construction(recording))
     adjustment.solution.require_success()
-    whole = recording.measured.all(axis=1) & ~adjustment.gross
+    whole = recording.measured.all(axis=1) & ~adjustment.is_gross_pointing
     errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (
@@ -200,10 +200,10 @@ def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, d
     length does not depend on the datum.
     """
     unknowns, size = adjusted.problem.unknowns, len(placed)
-    columns = unknowns.target[placed].ravel()
-    unit = np.zeros((unknowns.size, len(columns)))
+    columns = unknowns.target_columns[placed].ravel()
+    unit = np.zeros((unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    joint = adjusted.factor.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
+    joint = adjusted.factorised_normals.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
     a, b = np.searchsorted(placed, pairs).T
     both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
     return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))

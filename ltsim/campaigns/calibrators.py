@@ -29,7 +29,7 @@ from ltsim.core.errors import NetworkError, SetupError
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, construction_with_orders
 from ltsim.physics.model.measurement import NetworkState
-from ltsim.simulation.draws import NormalSource
+from ltsim.simulation.draws import StandardNormalSource
 
 
 def fitted_construction(method: Method) -> Construction:
@@ -71,7 +71,7 @@ class GeometryStack(CellTruth):
         states = [truth.state for truth in truths]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
-            for name in ("position", "rotation", "points")
+            for name in ("station_positions", "station_rotations", "target_points")
         )
         order = [np.argsort(_keys(truth)) for truth in truths]
         rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
@@ -126,11 +126,11 @@ class GeometryStack(CellTruth):
 
     def draw_trials(self, seed: int, numbers: Ints) -> TrialBatch:
         """Random values of the trials with these numbers."""
-        each = NormalSource(seed, numbers).per_trial()
+        each = StandardNormalSource(seed, numbers).single_trial_sources()
         draws = [
             truth.population.draw(numbers_of_trial) for truth, numbers_of_trial in zip(self.truths, each, strict=True)
         ]
-        values = np.concatenate([draw.values for draw in draws], axis=2)
+        values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
         exact = self._exact(values)
         alone = tuple(
             truth.read(draw, self.of_trial(exact, k)[:, :, None])

@@ -33,8 +33,8 @@ from ltsim.core.parallel import parallel
 from ltsim.core.storage import check_writable
 from ltsim.recordings.files import shown
 from ltsim.recordings.settings import to_toml
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.simulator import idle_effects
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose version can change the bytes of a row."""
@@ -152,9 +152,11 @@ def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell],
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({label(factors, cell.levels)})"
         with as_setup_error(f"{file}: {where}"):
-            idle += [f"{where}: {note}" for note in idle_effects(fieldwork(cell.scenario, campaign.seed))]
+            idle += [
+                f"{where}: {note}" for note in ineffective_effect_notes(make_geometry(cell.scenario, campaign.seed))
+            ]
             if cell.judge is not None:
-                fieldwork(cell.judge, campaign.seed, JUDGE)
+                make_geometry(cell.judge, campaign.seed, JUDGE)
     return idle
 
 

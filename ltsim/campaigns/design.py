@@ -13,7 +13,7 @@ from ltsim.core.randomness import stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
-from ltsim.simulation.keys import Kind, kind_of, value_at
+from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
 
 RESERVED_COLUMNS = frozenset(
     {
@@ -78,7 +78,7 @@ class Design(TomlSection):
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
         shares = sampler(len(self.ranges), seed=draw).random(self.cells)
         columns = [
-            limits.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
+            limits.at(shares[:, k], whole=value_type_of_key(keys[name]) == "integer")
             for k, (name, limits) in enumerate(self.ranges.items())
         ]
         return [dict(zip(self.ranges, point, strict=True)) for point in zip(*columns, strict=True)]
@@ -93,12 +93,12 @@ class Factor(Entry):
     """Dotted keys of the scenario that take its value."""
     unit: str = ""
     """Unit of its values."""
-    kind: Kind = "number"
+    kind: ValueType = "number"
     """Type of its values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
         """Value of the factor in a cell, from the tables of its scenario; tables as JSON, None for a missing key."""
-        value = value_at(dict(scenario), self.keys[0])
+        value = value_at_key(dict(scenario), self.keys[0])
         return json.dumps(value) if isinstance(value, (dict, list)) else value
 
     def words(self, level: Any) -> str:

@@ -16,16 +16,16 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.distance import METHODS
+from ltsim.calibration.distance import DISTANCE_METHODS
 from ltsim.calibration.distance_solver import (
-    Estimates,
-    Separations,
-    mean_rows,
-    pair_rows,
+    ComparedDistances,
+    DistanceEstimate,
+    mean_deviation_rows,
+    pair_difference_rows,
     solve_distances,
     solve_equation_9,
 )
-from ltsim.calibration.objective import DistanceProblem, Distances
+from ltsim.calibration.objective import DistanceProblem, SetDistances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
 from ltsim.campaigns.engine import BatchCalibrator, Calibrated, members
 from ltsim.campaigns.kernels import points_of, pull_points
@@ -34,7 +34,7 @@ from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
-from ltsim.solve.absolute import least_absolute
+from ltsim.solve.absolute import solve_least_absolute
 
 CAP = 10
 CAP_OF_WEAK = 30
@@ -69,20 +69,22 @@ class BatchDistance(BatchCalibrator):
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
     @cached_property
-    def estimate(self) -> Estimates:
+    def estimate(self) -> DistanceEstimate:
         """Estimate at nominal readings: zero, its covariance, and the combinations that are not estimated."""
         if self.as_printed:
             return solve_equation_9(self.problem, "absolute" if self.absolute else "squares")
-        return solve_distances(self.problem, METHODS[self.method])
+        return solve_distances(self.problem, DISTANCE_METHODS[self.method])
 
     @cached_property
-    def _distances(self) -> Distances:
-        return self.problem.at(np.zeros(self.problem.prior_sigma.size))
+    def _distances(self) -> SetDistances:
+        return self.problem.distances_at(np.zeros(self.problem.prior_sigma.size))
 
     @cached_property
     def _determined(self) -> Floats:
         """Estimated combinations, (q, k)."""
-        excluded = np.array([d.vector for d in self.estimate.undetermined]).reshape(-1, self.problem.prior_sigma.size)
+        excluded = np.array([d.vector for d in self.estimate.undetermined_combinations]).reshape(
+            -1, self.problem.prior_sigma.size
+        )
         return np.linalg.svd(np.eye(excluded.shape[1]) - excluded.T @ excluded)[0][
             :, : excluded.shape[1] - len(excluded)
         ]
@@ -91,16 +93,16 @@ class BatchDistance(BatchCalibrator):
     def step_matrix(self) -> Floats:
         """Matrix (q, q) from half a gradient to a step in prior sigmas, within the estimated combinations."""
         rows, determined = self._mean_rows, self._determined
-        normal = rows.by_unknown.T @ rows.by_unknown
+        normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
-    def _mean_rows(self) -> Separations:
-        return mean_rows(self.problem, self._distances)
+    def _mean_rows(self) -> ComparedDistances:
+        return mean_deviation_rows(self.problem, self._distances)
 
     @cached_property
-    def _pair_rows(self) -> Separations:
-        return pair_rows(self.problem, self._distances)
+    def _pair_rows(self) -> ComparedDistances:
+        return pair_difference_rows(self.problem, self._distances)
 
     @property
     def _program(self) -> ChainProgram:
@@ -109,7 +111,7 @@ class BatchDistance(BatchCalibrator):
     @cached_property
     def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
-        gauge, sets = self.problem.gauge, self.problem.sets
+        gauge, sets = self.problem.reference_lengths, self.problem.set_numbers
         visible, share = members(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
@@ -126,7 +128,7 @@ class BatchDistance(BatchCalibrator):
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._membership
         recording, trials = self.truth.recording, deviation.shape[2]
-        length = self.problem.gauge.length[:, None] + block.gauge_error
+        length = self.problem.reference_lengths.length[:, None] + block.gauge_error
         values = np.zeros((*self.problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(CAP):
@@ -162,10 +164,10 @@ class BatchDistance(BatchCalibrator):
                 break
             residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
-                by_unknown = self.problem.by_parameter(readings[trial], unknowns[:, trial])
-                design = self._pair_rows.compare @ (by_unknown @ determined[trial])
+                by_unknown = self.problem.parameter_derivatives(readings[trial], unknowns[:, trial])
+                design = self._pair_rows.comparison_matrix @ (by_unknown @ determined[trial])
                 if self.absolute:  # every step but the first is short
-                    step = least_absolute(design, -gap, near=np.zeros(design.shape[1]) if iteration else None)
+                    step = solve_least_absolute(design, -gap, start=np.zeros(design.shape[1]) if iteration else None)
                 else:
                     step = np.linalg.solve(design.T @ design, -design.T @ gap)
                 unknowns[:, trial] += determined[trial] @ step
@@ -174,7 +176,9 @@ class BatchDistance(BatchCalibrator):
 
     def _combinations(self, readings: Floats) -> Floats:
         """Combinations (q, k) of a trial: the axes of its objective that are nearest to the estimated ones."""
-        design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
+        design = self._mean_rows.comparison_matrix @ self.problem.parameter_derivatives(
+            readings, np.zeros(self.problem.prior_sigma.size)
+        )
         axes = np.linalg.eigh(design.T @ design)[1]
         nearest = np.argsort(np.linalg.norm(self._determined.T @ axes, axis=0))[len(axes) - self._determined.shape[1] :]
         return axes[:, nearest]
@@ -184,11 +188,11 @@ class BatchDistance(BatchCalibrator):
         deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
         points = np.empty(deviation.shape)
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)
-        change = self.problem.lengths(points) - self._distances.length[:, None]
-        rows, gauge = self._pair_rows, self.problem.gauge
-        certified = gauge.whitened(block.gauge_error[:, trials])
-        by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
-        return rows.residual[:, None] + rows.compare @ change + by_gauge @ certified
+        change = self.problem.distances_of_points(points) - self._distances.lengths[:, None]
+        rows, gauge = self._pair_rows, self.problem.reference_lengths
+        certified = gauge.decorrelate(block.gauge_error[:, trials])
+        by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
+        return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ certified
 
     def _adjusted(self, block: TrialBatch, values: Floats) -> BatchFit:
         deviation = block.deviation

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.datum import InnerDatum
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.network import BatchNetwork
@@ -126,8 +126,8 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
     lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(lost[:, None], np.nan, adjustment.state.target_points)
     if adjustment.recording.measured[:, 1:].any():
-        return on_points(points, goal)
-    hands = [on_points(points * hand, goal) for hand in (1.0, [1.0, 1.0, -1.0])]
+        return align_to_points(points, goal)
+    hands = [align_to_points(points * hand, goal) for hand in (1.0, [1.0, 1.0, -1.0])]
     return min(hands, key=lambda moved: float(np.nansum((moved - goal) ** 2)))
 
 
@@ -188,15 +188,15 @@ class SerialCalibrator(Calibrator):
     def solved(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
         """Adjustment of a recording, and its instruments' parameters with standard deviations, (I, p) [SI] each."""
         if self.applied:
-            calibration = calibrate_network(recording, self.construction, advise=False)
-            return calibration.adjustment, calibration.applied, calibration.sigma
+            calibration = calibrate_network(recording, self.construction, recommend_measurements=False)
+            return calibration.adjustment, calibration.applied_values, calibration.sigma
         if self.method == "network":
             adjustment = adjust(recording, self.construction, effects=self.effects)
             adjustment.solution.require_success()
-            variance = np.diag(adjustment.reduced_covariance)[adjustment.problem.unknowns.instrument]
+            variance = np.diag(adjustment.reduced_covariance)[adjustment.problem.unknowns.instrument_columns]
             return adjustment, adjustment.state.instrument_parameters, np.sqrt(variance)
         calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
-        return calibration.adjustment, calibration.values, calibration.sigma
+        return calibration.adjustment, calibration.estimates, calibration.sigma
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ class BatchCalibrator(Calibrator):
         values = np.abs(other.values[:, :, trial] - calibrated.values[:, :, trial]) / calibrated.sigma
         truth = self.truth.state.target_points
         batch = truth + calibrated.points[:, :, trial]
-        gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self.sigma_targets
+        gap = np.abs(align_to_points(truth + other.points[:, :, trial], batch) - batch) / self.sigma_targets
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property
@@ -261,6 +261,6 @@ class BatchCalibrator(Calibrator):
         covariance = self.network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
         points = self.truth.state.target_points
-        datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
-        blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
+        datum = InnerDatum.from_columns(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
+        blocks = datum.transform_covariance(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))

@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.extra_effects import RequestedEffect
-from ltsim.calibration.verbs import requested_effect
+from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
@@ -24,7 +24,7 @@ from ltsim.physics.effects.verbs import SizedEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
-from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
+from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 SIZE = "size"
 """Name of the amplitude of a law in text form: rms of the change of its response, in the unit of the response."""
@@ -40,7 +40,7 @@ def inject(
     *causes: str | CandidateEffect | SizedEffect,
     noncentrality: float | None = None,
     seed: int = 0,
-) -> Injection:
+) -> RecordingWithInjection:
     """Injection of effects into the readings of a recording by the exact model; everything else is unchanged.
 
     Parameters
@@ -86,14 +86,17 @@ def inject(
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
     changed = recording_of(recording)
-    injector, injected = Injector(changed, ResidualSpace.of(adjust(changed, declared_construction(changed)))), []
+    injector, injected = (
+        Injector(changed, ResidualSpace.from_adjustment(adjust(changed, declared_construction(changed)))),
+        [],
+    )
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _sized(injector, cause, noncentrality, rng)
-        changed, entry = injector.put(drawn, values, _called(cause), rng)
-        injector = injector.after(changed)
+        changed, entry = injector.inject(drawn, values, _called(cause), rng)
+        injector = injector.with_recording(changed)
         injected.append(entry)
-    return Injection(changed, InjectionTruth(seed, tuple(injected)))
+    return RecordingWithInjection(changed, InjectionTruth(seed, tuple(injected)))
 
 
 def injection_curve(
@@ -103,7 +106,7 @@ def injection_curve(
     strengths: Sequence[float] = STRENGTHS,
     injections: int = 5,
     seed: int = 0,
-) -> InjectionCurve:
+) -> DetectionCurve:
     """Detection curve: strength at which a cause is detected, located and identified in a given recording.
 
     Parameters
@@ -134,22 +137,22 @@ def injection_curve(
     rows = []
     for strength in strengths:
         draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
-        judged = [judge(diagnose(made), truth.causes[0], background) for made, truth in draws]
-        rows.append(_row(strength, [truth.causes[0] for _, truth in draws], judged))
+        judged = [judge(diagnose(made), truth.injected_effects[0], background) for made, truth in draws]
+        rows.append(_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     reported = tuple(sorted({f.effect for f in background.findings}))
-    return InjectionCurve(_called(cause), reported, tuple(rows))
+    return DetectionCurve(_called(cause), reported, tuple(rows))
 
 
 def _called(cause: str | CandidateEffect | SizedEffect) -> str:
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
-def judge(diagnosis: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
+def judge(diagnosis: Diagnosis, cause: InjectedEffect, background: Diagnosis) -> dict[str, bool]:
     """Flags for the findings beyond those of the background: effect detected, located and identified."""
     before = {_key(f) for f in background.findings}
     new = [f for f in diagnosis.findings if _key(f) not in before]
-    placed = [f for f in new if _placed(cause.cause, f)]
-    name = cause.cause.name
+    placed = [f for f in new if _placed(cause.effect, f)]
+    name = cause.effect.name
     named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
     first = new[:1]
     return {
@@ -174,10 +177,12 @@ def _placed(cause: CandidateEffect, finding: Any) -> bool:
     return overlaps and bool(reported & set(cause.observables))
 
 
-def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[str, bool]]) -> dict[str, float]:
+def _row(strength: float, causes: Sequence[InjectedEffect], judged: Sequence[Mapping[str, bool]]) -> dict[str, float]:
     row: dict[str, float] = {"noncentrality": strength, "injections": len(judged)}
-    row["largest_um"] = float(np.mean([c.largest["distance_um"] for c in causes]))
-    row["largest_urad"] = float(np.mean([max(c.largest["azimuth_urad"], c.largest["elevation_urad"]) for c in causes]))
+    row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in causes]))
+    row["largest_urad"] = float(
+        np.mean([max(c.largest_changes["azimuth_urad"], c.largest_changes["elevation_urad"]) for c in causes])
+    )
     for key in ("detections", "placed", "named", "right"):
         row[key] = sum(outcome[key] for outcome in judged)
         if key != "right":
@@ -198,7 +203,7 @@ def _sized(
         if noncentrality is None:
             break
         try:
-            return drawn, injector.sized(drawn, values, noncentrality)
+            return drawn, injector.scale_to_noncentrality(drawn, values, noncentrality)
         except ModelError:
             if attempt == TRIES - 1:
                 raise
@@ -211,16 +216,18 @@ def _drawn(
     """Effect with its place, constants and parameter values (q,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
         text, sizes = _split(cause)
-        asked = requested_effect(text, injector.recording)
+        asked = parse_requested_effect(text, injector.recording)
     else:
         given, sizes = (cause.effect, dict(cause.parameter_values)) if isinstance(cause, SizedEffect) else (cause, {})
-        asked = requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
-    effect, sightings = asked.effect, injector.space.sightings
+        asked = (
+            parse_requested_effect(given, injector.recording) if isinstance(given, Effect) else RequestedEffect(given)
+        )
+    effect, sightings = asked.effect, injector.residual_space.sightings
     candidates: Sequence[CandidateEffect] = [effect]
     if isinstance(effect, Blunder) and not effect.place_text:
         candidates = type(effect).possible_blunders(sightings)
     elif isinstance(effect, Effect) and not isinstance(effect, Blunder):
-        candidates = asked.candidates(injector.space.adjustment)
+        candidates = asked.candidates(injector.residual_space.adjustment)
     if not candidates:
         raise ModelError(f"{effect.name} has no place in this recording")
     chosen = candidates[int(rng.integers(len(candidates)))]
@@ -252,7 +259,9 @@ def _values(cause: CandidateEffect, sizes: Mapping[str, float], injector: Inject
     if not sizes:
         return drawn
     if isinstance(cause, EmpiricalLaw):
-        moved = cause.columns(injector.space.sightings) @ drawn.reshape(-1, cause.regressor.n_columns).T
-        rms = float(np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.space.sightings) > 0] ** 2, axis=1))))
+        moved = cause.columns(injector.residual_space.sightings) @ drawn.reshape(-1, cause.regressor.n_columns).T
+        rms = float(
+            np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
+        )
         return drawn * sizes[SIZE] * cause.parameters[0].si_per_display_unit / rms
     return np.array([sizes.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

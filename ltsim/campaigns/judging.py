@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.clouds import ShareRemoved, cloud_error, measured_points
+from ltsim.adjustment.evaluation.clouds import CalibrationErrors, cloud_error, measured_points
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import JUDGE, judge_of
@@ -15,9 +15,9 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.results import Result, Table, numbers, texts
 from ltsim.core.units import MICROMETRE
-from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 READING_TOLERANCE = 1e-6
@@ -42,12 +42,12 @@ JUDGED = Table(
 class Judged(Result):
     """Error of new points [m] by name of the calibration."""
 
-    errors: Mapping[str, ShareRemoved]
+    errors: Mapping[str, CalibrationErrors]
 
     def _lines(self) -> list[str]:
         first = next(iter(self.errors.values()))
-        raw, floor = first.raw / MICROMETRE, first.true_parameters / MICROMETRE
-        errors = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
+        raw, floor = first.raw_rms / MICROMETRE, first.true_parameters_rms / MICROMETRE
+        errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
         return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
@@ -55,8 +55,8 @@ class Judged(Result):
 
     def _rows(self) -> Iterator[list[Any]]:
         for name, error in self.errors.items():
-            sizes = (error.raw, error.calibrated, error.true_parameters)
-            yield [name, *(size / MICROMETRE for size in sizes), error.share]
+            sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)
+            yield [name, *(size / MICROMETRE for size in sizes), error.share_removed]
 
 
 def _same_readings(readings: Floats, others: Floats) -> bool:
@@ -107,7 +107,7 @@ def judge(
     """
     here = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
-    made, truth = measure(fieldwork(here, seed), seed, trial)
+    made, truth = measure_trial(make_geometry(here, seed), seed, trial)
     named = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
     for name, calibration in named.items():
         readings = (
@@ -119,12 +119,12 @@ def judge(
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
     if not named:
         raise SetupError("there is no calibration to judge")
-    values = np.array([*truth.instrument.values()]).reshape(len(here.trackers), -1)
-    work = fieldwork(judge_of(str(judge_in), here, place), seed, JUDGE)
-    recording, there = measure(work, seed, trial, values=values, stream_key=JUDGE)
+    values = np.array([*truth.instrument_values.values()]).reshape(len(here.trackers_in_use), -1)
+    work = make_geometry(judge_of(str(judge_in), here, place), seed, JUDGE)
+    recording, there = measure_trial(work, seed, trial, values=values, stream_key=JUDGE)
 
     def error(points: Any) -> float:
-        return cloud_error(recording, points, there.points)
+        return cloud_error(recording, points, there.target_points)
 
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
@@ -132,7 +132,7 @@ def judge(
         named if applied else {name: calibration.with_changes(correction=None) for name, calibration in named.items()}
     )
     corrected = {
-        name: measured_points(correct(recording, calibration, again=True, rejected=True))
+        name: measured_points(correct(recording, calibration, allow_repeated=True, allow_rejected=True))
         for name, calibration in taken.items()
     }
-    return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})
+    return Judged({name: CalibrationErrors(raw, error(points), floor) for name, points in corrected.items()})

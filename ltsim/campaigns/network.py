@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjustment.frame import Frame
+from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.kernels import network_gradient
 from ltsim.campaigns.program import ChainProgram
@@ -30,8 +30,8 @@ from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.chain import inverse_of
-from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
+from ltsim.solve.chain import inverse_from_cholesky
+from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
 CAP = 8
 MIN_CONVERGENCE_RATE = 1e-3
@@ -105,8 +105,8 @@ class BatchNetwork:
     def problem(self) -> NetworkProblem:
         """Least-squares problem at the nominal state, with the rows of a single adjustment."""
         if self.shared is None:
-            return NetworkProblem.of(self.model, use=np.tile(self.recorded, (len(self.recording), 1)))
-        return self.shared.network.problem.elsewhere(self.model)
+            return NetworkProblem.from_model(self.model, reading_mask=np.tile(self.recorded, (len(self.recording), 1)))
+        return self.shared.network.problem.with_other_positions(self.model)
 
     @cached_property
     def nominal(self) -> NetworkState:
@@ -124,10 +124,10 @@ class BatchNetwork:
     def sizes(self) -> tuple[int, int, int, int]:
         """End indices of poses, targets, parameters and further effects in the vector of unknowns."""
         unknowns = self.problem.unknowns
-        pose = unknowns.pose.size
-        targets = pose + unknowns.target.size
-        values = targets + unknowns.instrument.size
-        return pose, targets, values, values + unknowns.extra.size
+        pose = unknowns.pose_columns.size
+        targets = pose + unknowns.target_columns.size
+        values = targets + unknowns.instrument_columns.size
+        return pose, targets, values, values + unknowns.extra_columns.size
 
     @cached_property
     def order(self) -> Ints:
@@ -135,9 +135,9 @@ class BatchNetwork:
         if self.shared is not None:
             return self.shared.network.order
         unknowns = self.problem.unknowns
-        parts = (unknowns.pose, unknowns.target, unknowns.instrument, unknowns.extra)
+        parts = (unknowns.pose_columns, unknowns.target_columns, unknowns.instrument_columns, unknowns.extra_columns)
         order = np.concatenate([part.ravel() for part in parts])
-        if len(np.unique(order)) != unknowns.size:
+        if len(np.unique(order)) != unknowns.n_columns:
             raise SetupError('stations that share a mark are not supported by the batch solver; use solver = "single"')
         return order
 
@@ -145,7 +145,7 @@ class BatchNetwork:
     def _other_design(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the rows other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._system
-        count = int(self.problem.use.sum())
+        count = int(self.problem.used_readings.sum())
         return design[count:, self.order], residual[count:, None]
 
     @cached_property
@@ -154,8 +154,8 @@ class BatchNetwork:
         prediction = (
             self.problem.model.linearised(self.nominal) if self.shared is None else self._prediction(self.shared)
         )
-        system = self.problem.system(self.nominal, replace(prediction, extra_derivatives=self._extra_design))
-        return as_dense(system.design), system.residual
+        system = self.problem.linear_system(self.nominal, replace(prediction, extra_derivatives=self._extra_design))
+        return to_dense(system.design), system.whitened_residuals
 
     def _prediction(self, shared: SharedQuantities) -> Prediction:
         """Predicted readings and derivatives at the nominal state, from shared quantities.
@@ -176,7 +176,7 @@ class BatchNetwork:
         """
         design = self._system[0]
         normal = (design.T @ design).take(self.order, 0).take(self.order, 1)
-        unit, scale = unit_diagonal(normal, np.diag(normal))
+        unit, scale = scale_to_unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
             raise SetupError(
@@ -188,15 +188,17 @@ class BatchNetwork:
     def covariance(self) -> Floats:
         """Covariance (K, K) [SI] of all unknowns at the nominal state; the first pose defines the datum."""
         root, scale = self.root
-        return inverse_of(root) * np.outer(scale, scale)
+        return inverse_from_cholesky(root) * np.outer(scale, scale)
 
     @cached_property
     def sigma_values(self) -> Floats:
         """Standard deviation (I, p) [SI] of the parameters after adjustment."""
         (_, start, end, _), (root, scale) = self.sizes, self.root
-        last = inverse_of(root[start:, start:])  # of the last unknowns the inverse is that of the last corner
+        last = inverse_from_cholesky(
+            root[start:, start:]
+        )  # of the last unknowns the inverse is that of the last corner
         roots = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
-        return roots.reshape(self.problem.unknowns.instrument.shape)
+        return roots.reshape(self.problem.unknowns.instrument_columns.shape)
 
     def step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (K, B) for gradients (K, B)."""
@@ -215,8 +217,8 @@ class BatchNetwork:
         return sightings_of(self.recording, self.state).jacobian if self.shared is None else self.shared.by_point
 
     @cached_property
-    def _frame(self) -> Frame:
-        return Frame.of(self.recording) if self.shared is None else self.shared.network._frame
+    def _frame(self) -> DeclaredFrame:
+        return DeclaredFrame.from_recording(self.recording) if self.shared is None else self.shared.network._frame
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
@@ -255,7 +257,7 @@ class BatchNetwork:
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviation (n, 3) of the readings; infinite for unmeasured ones."""
-        return np.where(self.problem.use, self.problem.sigma, np.inf)
+        return np.where(self.problem.used_readings, self.problem.sigma, np.inf)
 
     def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), parameters (I, p, B), effects (q, B)."""
@@ -318,7 +320,7 @@ class BatchNetwork:
         Predicted readings include poses, targets and parameters; all other contributions are subtracted from the
         measured ones.
         """
-        use, design = self.problem.use, np.zeros((3 * len(self.recording), self.sizes[-1]))
+        use, design = self.problem.used_readings, np.zeros((3 * len(self.recording), self.sizes[-1]))
         design[use.ravel()] = self._system[0][: int(use.sum()), self.order]  # whitened; zero where nothing is measured
         # A reading that is not measured has no row; its prediction starts at the nominal reading.
         predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.sizes[2]]
@@ -365,7 +367,7 @@ class BatchNetwork:
         """
         design, nominal = self._other_design
         rows = nominal - each_times(design, x)
-        gauge = self.problem.gauge
+        gauge = self.problem.gauge_rows
         if len(gauge):
             moved = self.split(x)[1]
             arm = (self.state.target_points[gauge.first] - self.state.target_points[gauge.second]).reshape(
@@ -377,7 +379,7 @@ class BatchNetwork:
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
             if gauge_error is not None:
                 bent += gauge_error
-            rows[: len(gauge)] += gauge.whitened(bent)
+            rows[: len(gauge)] += gauge.decorrelate(bent)
         return rows
 
 

@@ -25,7 +25,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr
 
-from ltsim.calibration.verbs import requested_effect
+from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.recovery_checks import CHECKS, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
     PARAMETERS,
@@ -48,7 +48,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import make_construction as construction_called
 from ltsim.recordings.result_file import ResultFile
-from ltsim.simulation.physics import construction_of
+from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
@@ -222,7 +222,7 @@ def recover(
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required="trials seed jobs")
     scenario, given = scenario_of(source), tolerance or {}
-    true_construction, mode = construction_of(scenario), errors or errors_of(scenario)
+    true_construction, mode = make_scenario_construction(scenario), errors or errors_of(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
         raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
     if mode not in ("drawn", "stated"):
@@ -233,7 +233,7 @@ def recover(
         jobs = 1
     named = effect_tuple(with_effects)
     example = simulate(scenario, seed=seed).recording if named else None
-    extra_effects = tuple(requested_effect(text, example) for text in named if example is not None)
+    extra_effects = tuple(parse_requested_effect(text, example) for text in named if example is not None)
     built = true_construction if construction is None else construction_called(construction)
     how = RecoverySettings(method, built, extra_effects, calibrator, mode)
     began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""
@@ -281,4 +281,4 @@ def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTol
 
 def errors_of(scenario: Scenario) -> Errors:
     """Mode that a scenario suggests: `stated` if it declares an error of an instrument."""
-    return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers.values()) else "drawn"
+    return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

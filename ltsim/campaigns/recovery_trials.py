@@ -32,10 +32,10 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.physics import instrument_law
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.physics import instrument_error_distribution
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure, place_key
+from ltsim.simulation.simulator import measure_trial, placing_stream_key
 
 
 class RecoveryTolerance(NamedTuple):
@@ -128,10 +128,10 @@ def from_prior(scenario: Scenario) -> Scenario:
 
 def run_trial(scenario: Scenario, seed: int, index: int, how: RecoverySettings) -> Trial | FailedTrial:
     """Result of a trial: simulation, calibration and comparison with the truth."""
-    work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
-    recording, truth = measure(work, seed, index)
-    law = instrument_law(work.scenario, work.construction)
-    names = work.construction.instrument_parameter_names(tuple(work.scenario.trackers))
+    work = make_geometry(scenario, seed, *placing_stream_key(index, "per-trial"))
+    recording, truth = measure_trial(work, seed, index)
+    law = instrument_error_distribution(work.scenario, work.construction)
+    names = work.construction.instrument_parameter_names(tuple(work.scenario.trackers_in_use))
     laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
     reference = None
     try:
@@ -152,7 +152,13 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: RecoverySettings) 
 def calibrated(recording: Recording, how: RecoverySettings, construction: Construction) -> Calibration:
     """Calibration by one of ltsim's methods."""
     if how.method == "network":
-        return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
+        return calibrate_network(
+            recording,
+            construction,
+            recommend_measurements=False,
+            choose_correction=False,
+            extra_effects=how.extra_effects,
+        )
     return calibrate_distance(recording, construction, method=how.method, advise=False)
 
 

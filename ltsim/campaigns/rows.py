@@ -31,11 +31,11 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import BLOCK
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect
-from ltsim.simulation.draws import NormalSource
-from ltsim.simulation.physics import construction_of, effects_of
+from ltsim.simulation.draws import StandardNormalSource
+from ltsim.simulation.physics import make_scenario_construction, scenario_effects
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import place_key
-from ltsim.simulation.workshop import Layout, planned
+from ltsim.simulation.simulator import placing_stream_key
+from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 
 CORRECTED_STATISTICS = {"criteria", "errors"}
 """Statistics that need corrected readings."""
@@ -103,15 +103,15 @@ class CellContext:
     @cached_property
     def units(self) -> dict[str, str]:
         """Units of the parameters in the rows."""
-        names = tuple(self.scenario.trackers)
-        labels = labels_of(construction_of(self.scenario), names, effects_of(self.scenario))
+        names = tuple(self.scenario.trackers_in_use)
+        labels = labels_of(make_scenario_construction(self.scenario), names, scenario_effects(self.scenario))
         for method in self.campaign.methods:
             labels += labels_of(fitted_construction(method), names, fitted_effects(method))
         return {label.name: label.parameter.unit for label in labels}
 
     @cached_property
-    def _plan(self) -> Layout:
-        return planned(self.scenario)
+    def _plan(self) -> WorkshopLayout:
+        return planned_layout(self.scenario)
 
     def blocks(self, first: int, last: int) -> Iterator[tuple[TrialEvaluator, Sequence[Calibrator], TrialBatch]]:
         """Blocks with the trials ``first`` to ``last - 1``, each with the evaluation and calibrators of its geometry.
@@ -137,7 +137,7 @@ class CellContext:
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
-                key, like = place_key(trial, self.campaign.geometry), self.shared[0].truth
+                key, like = placing_stream_key(trial, self.campaign.geometry), self.shared[0].truth
                 geometries[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
         return geometries
 
@@ -233,7 +233,7 @@ class TrialBlock:
         """
         if self.elsewhere is None:
             return None
-        there = NormalSource(self.campaign.seed, self.block.trials)
+        there = StandardNormalSource(self.campaign.seed, self.block.trials)
         block = self.elsewhere.truth.drawn(there, self._drifted(), stream_key=JUDGE)
         return self.elsewhere, block, self.elsewhere.before(block)
 
@@ -244,8 +244,8 @@ class TrialBlock:
             return values
         population = self.judge.truth.population
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
-        step = NormalSource(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
-        return values + share * (population.sigma * moves)[:, :, None] * step.reshape(values.shape)
+        step = StandardNormalSource(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
+        return values + share * (population.instrument_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def columns(self, calibrator: Calibrator) -> Columns:
         """Columns of a method that the campaign stores."""

@@ -176,10 +176,10 @@ class TrueValue(NamedTuple):
 
 def true_values(truth: Truth) -> dict[str, TrueValue]:
     """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
-    values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
-    for applied in truth.applied:
+    values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument_values.items()}
+    for applied in truth.applied_effects:
         place = f" {applied.effect.place_text}" if applied.effect.place_text else ""
-        for parameter, value in zip(applied.effect.parameters, applied.values, strict=True):
+        for parameter, value in zip(applied.effect.parameters, applied.parameter_values, strict=True):
             values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueValue(float(value), parameter.unit)
     return values
 
@@ -213,7 +213,7 @@ class ExpectedTruth:
     def of(cls, calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
         """Expected truth of a simulated recording; `law` as in `score`."""
         prior = calibration.prior_sigma.ravel()
-        mean, drawn = np.array([law[name] for name in calibration.names]).T / prior
+        mean, drawn = np.array([law[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
             return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
@@ -223,8 +223,10 @@ class ExpectedTruth:
             for e in model.incidence_errors
         ]
         more = np.concatenate([np.zeros(0), *reflectors])
-        columns = np.concatenate([unknowns.instrument.ravel(), *(unknowns.extra[at] for at in model.incidence_columns)])
-        free = np.concatenate([~calibration.held.ravel(), np.ones(len(more), dtype=bool)])
+        columns = np.concatenate(
+            [unknowns.instrument_columns.ravel(), *(unknowns.extra_columns[at] for at in model.incidence_columns)]
+        )
+        free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(more), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(more))])
         missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
         missed = np.where(free[:, None] & free, missed, 0.0)
@@ -244,9 +246,9 @@ class ExpectedTruth:
 def _reflector_error(truth: Truth) -> Floats:
     """True parameters (p,) [SI] of the reflectors' incidence error."""
     total = SmrIncidence().parameters_from_table
-    for applied in truth.applied:
+    for applied in truth.applied_effects:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
-            total = total + applied.effect.parameters_from_table + applied.values
+            total = total + applied.effect.parameters_from_table + applied.parameter_values
     return total
 
 
@@ -255,11 +257,11 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
 
     `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared one.
     """
-    check_true_parameters(calibration.names, truth.instrument, truth)
-    expected, count = ExpectedTruth.of(calibration, truth, law), len(calibration.names)
-    true = np.array([truth.instrument[name] for name in calibration.names])
+    check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
+    expected, count = ExpectedTruth.of(calibration, truth, law), len(calibration.instrument_parameter_names)
+    true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
-    error, sigma_scaled = (calibration.values.ravel() - true) / prior, calibration.sigma.ravel() / prior
+    error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.missed[:count]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance
     noisy = variance > MIN_NOISE_SHARE * sigma_scaled**2
@@ -270,10 +272,10 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
         calibration.fit.dof,
         *_chi2(calibration, expected),
     )
-    units = tuple(truth.units[name] for name in calibration.names)
+    units = tuple(truth.units[name] for name in calibration.instrument_parameter_names)
     factor = np.array([FACTOR[unit] for unit in units])
     instrument = np.stack(
-        [calibration.values.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
+        [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
     )
     more = true_values(truth)
     fitted = {name: entry for name, entry in _of_effects(calibration).items() if name in more}
@@ -282,14 +284,17 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
     extra = extra.reshape(-1, 3).T
     z = (1.0 if plain else np.nan) * (extra[0] - extra[2]) / extra[1]
     value, sigma, right, scores = np.concatenate([instrument, np.vstack([extra, z])], axis=1)
-    names, shown = tuple(calibration.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
+    names, shown = (
+        tuple(calibration.instrument_parameter_names) + tuple(fitted),
+        units + tuple(e.unit for e in fitted.values()),
+    )
     return Trial(names, shown, value, sigma, right, scores, network)
 
 
 def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
     """Parameters of the estimated effects of a calibration, with the names of `true_values`."""
     return {
-        f"{entry.effect}:{parameter.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
+        f"{entry.effect}:{parameter.name}" + (f" {entry.place_text}" if entry.place_text else ""): ParameterEstimate(
             parameter.value, parameter.sigma, parameter.unit
         )
         for entry in calibration.effects
@@ -318,25 +323,27 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
     """
     adjustment = calibration.adjustment
     unknown = calibration.method != "network" and not expected.is_prior
-    if adjustment is None or unknown or adjustment.problem.free.shape[1] < 6:
+    if adjustment is None or unknown or adjustment.problem.free_motions.shape[1] < 6:
         return float("nan"), float("nan")
     # The truth moved to where the first station is held.
-    held, origin = adjustment.state, truth.position[0]
-    turn = truth.rotation[0] @ held.station_rotations[0].T
-    unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.size)
+    held, origin = adjustment.state, truth.station_positions[0]
+    turn = truth.station_rotations[0] @ held.station_rotations[0].T
+    unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.n_columns)
     bias, less = size.copy(), size.copy()
     if not expected.is_prior:
         pick = np.zeros((len(size), len(expected.mean)))
         pick[expected.columns, np.arange(len(expected.mean))] = 1.0 / expected.units
-        missed = adjustment.factor.covariance_columns(pick)
+        missed = adjustment.factorised_normals.covariance_columns(pick)
         bias, less = -missed @ expected.mean, missed**2 @ expected.missing_variance
-    points = (truth.points - origin) @ turn + held.station_positions[0]
-    variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target]
-    targets = float(np.mean((calibration.points - points - bias[unknowns.target]) ** 2 / variance))
+    points = (truth.target_points - origin) @ turn + held.station_positions[0]
+    variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target_columns]
+    targets = float(np.mean((calibration.target_points - points - bias[unknowns.target_columns]) ** 2 / variance))
     squares = []
     for i, station in enumerate(calibration.stations[1:], start=1):
-        there, at = (truth.position[i] - origin) @ turn + held.station_positions[0], unknowns.pose[i]
-        rotation = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
+        there, at = (truth.station_positions[i] - origin) @ turn + held.station_positions[0], unknowns.pose_columns[i]
+        rotation = (
+            Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.station_rotations[i]).inv()
+        )
         error = np.concatenate([station.position - there, rotation.as_rotvec()]) - bias[at]
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
         squares.append(error**2 / (sigma**2 - less[at]))

@@ -17,8 +17,8 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.settings import checked, read_toml
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.keys import kind_of, quantity, unit_of
-from ltsim.simulation.scenario import REMOVED, Scenario, changed, load_scenario
+from ltsim.simulation.keys import convert_value, unit_of, value_type_of_key
+from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 
 FORMAT = "ltsim-campaign/1"
@@ -188,7 +188,7 @@ class Campaign(TomlSection):
         """Factors that differ between cells; `scenario` is that of any cell. A table is represented by its title."""
         titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
         factors = (
-            Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
+            Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=value_type_of_key(keys[0]))
             for name, keys in given.items()
         )
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied)
@@ -220,13 +220,15 @@ def load_campaign(
     if changes:
         campaign = overridden(campaign, changes, path)
     base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
-    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
-    units = changed(base, common, path)  # with the effects that the settings add
+    common = {
+        key: convert_value(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()
+    }
+    units = change_scenario(base, common, path)  # with the effects that the settings add
     made = []
     for number, values in enumerate(campaign.combinations(), start=1):
         where = f"{path}: cell {number}"
-        inside = {key: quantity(units, key, value, where) for key, value in values.items()}
-        made.append(changed(base, inside, path, where))
+        inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
+        made.append(change_scenario(base, inside, path, where))
     return campaign, tuple(made)
 
 
@@ -289,14 +291,20 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
-        changes = {"gauge": REMOVED, "lengths": [], "work.targets": REMOVED, "targets": places, "effects": effects}
-        return changed(scenario, changes, path, f"{path}: judge_in")
+        changes = {
+            "gauge": REMOVAL_VALUE,
+            "lengths": [],
+            "work.targets": REMOVAL_VALUE,
+            "targets": places,
+            "effects": effects,
+        }
+        return change_scenario(scenario, changes, path, f"{path}: judge_in")
     room = load_scenario(file or name)
     same = {"instrument": scenario.instrument, "instruments": scenario.instruments}
     room = room.model_copy(update=same)
     used = {station.instrument or "" for station in room.stations.values()}
-    if used != {*scenario.trackers}:
-        wanted = ", ".join(scenario.trackers) or "one without a name"
+    if used != {*scenario.trackers_in_use}:
+        wanted = ", ".join(scenario.trackers_in_use) or "one without a name"
         raise SetupError(f"{path}: judge_in: the stations of {name} should name the trackers of the cells: {wanted}")
     return room
 

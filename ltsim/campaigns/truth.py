@@ -26,12 +26,12 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import Draw, EffectDistribution, NormalSource, TrialDraws
-from ltsim.simulation.fieldwork import Fieldwork, fieldwork
-from ltsim.simulation.physics import nominal_noise, resolution_of
+from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
+from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry
+from ltsim.simulation.physics import instrument_resolutions, nominal_noise
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import blunders_in, error_free, population_of, simulate_readings
-from ltsim.simulation.workshop import Layout
+from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
+from ltsim.simulation.workshop import WorkshopLayout
 
 TURN = 2 * np.pi
 MAX_NONLINEARITY = 1e-3
@@ -69,13 +69,13 @@ class CellTruth:
     """Recording with nominal readings: those of an ideal tracker at `state`."""
     state: NetworkState
     """True poses and targets in the start frame of a calibrator, that of the first station."""
-    population: TrialDraws
+    population: TrialDistributions
     """Distributions of the random values of a trial; its sightings may be in another frame."""
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """Resolution of the readings; 0 for none, (I, 3) [m, rad, rad]."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Flags (3,) of the observables (range, azimuth, elevation) that are recorded; the others have no deviation."""
-    work: Fieldwork | None = None
+    work: MeasurementGeometry | None = None
     """True geometry on which blunders are simulated: trials with blunders are computed one by one."""
 
     @property
@@ -148,49 +148,52 @@ class CellTruth:
         return [self._linear(entry) for entry in self.effects]
 
     def _linear(self, entry: EffectDistribution) -> tuple[Floats, Floats] | None:
-        constant = entry.effect.reading_change(self.sightings, entry.mean)
-        if not np.any(entry.sigma):  # nothing is drawn
-            return constant, np.zeros((*constant.shape, len(entry.mean)))
+        constant = entry.effect.reading_change(self.sightings, entry.mean_values)
+        if not np.any(entry.value_sigmas):  # nothing is drawn
+            return constant, np.zeros((*constant.shape, len(entry.mean_values)))
         design = entry.effect.design(self.sightings)
-        probe = entry.mean + 3 * entry.sigma
-        miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.sigma)
+        probe = entry.mean_values + 3 * entry.value_sigmas
+        miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.value_sigmas)
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
     def draw(self, seed: int, number: int, width: int = BLOCK) -> TrialBatch:
         """Trials from number ``width * number`` on, as a block."""
-        return self.drawn(NormalSource(seed, width * number + np.arange(width)))
+        return self.drawn(StandardNormalSource(seed, width * number + np.arange(width)))
 
-    def drawn(self, numbers: NormalSource, values: Floats | None = None, *, stream_key: str = "") -> TrialBatch:
+    def drawn(self, numbers: StandardNormalSource, values: Floats | None = None, *, stream_key: str = "") -> TrialBatch:
         """Block of the trials with these numbers.
 
-        `values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDraws`.
+        `values` (I, p, B) [SI] replaces the instrument errors, `stream_key` as in `TrialDistributions`.
         """
         draw = self.population.draw(numbers, values, stream_key=stream_key)
-        return self.read(draw, self._exact(draw.values))
+        return self.read(draw, self._exact(draw.instrument_values))
 
-    def read(self, draw: Draw, deviation: Floats) -> TrialBatch:
+    def read(self, draw: TrialDraw, deviation: Floats) -> TrialBatch:
         """Block of a draw.
 
         `deviation` (n, 3, B) are its exact readings minus nominal ones, overwritten by the result.
         """
-        if blunders_in([law.effect for law in self.effects], draw.amounts):
+        if occurring_blunders([law.effect for law in self.effects], draw.effect_values):
             deviation = self._with_mistakes(draw)
         else:
-            for place, amounts in enumerate(draw.amounts):
+            for place, amounts in enumerate(draw.effect_values):
                 deviation += self._shift(place, amounts)
-            deviation += draw.noise
+            deviation += draw.reading_errors
             deviation = self._quantised(deviation)
-        lengths = self.population.lengths
-        gauge_error = draw.certified * lengths.factor[:, None] - lengths.length[:, None]
-        return TrialBatch(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
+        lengths = self.population.reference_lengths
+        gauge_error = draw.certified_lengths * lengths.factor[:, None] - lengths.length[:, None]
+        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, gauge_error)
 
-    def _with_mistakes(self, draw: Draw) -> Floats:
+    def _with_mistakes(self, draw: TrialDraw) -> Floats:
         """Readings minus nominal readings (n, 3, B) of B trials with blunders, as the simulator computes them."""
         assert self.work is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):
-            amounts = tuple(amount[:, k] for amount in draw.amounts)
-            gap = simulate_readings(self.work, draw.values[:, :, k], amounts, draw.noise[:, :, k]) - nominal
+            amounts = tuple(amount[:, k] for amount in draw.effect_values)
+            gap = (
+                simulate_readings(self.work, draw.instrument_values[:, :, k], amounts, draw.reading_errors[:, :, k])
+                - nominal
+            )
             gap[:, 1] -= TURN * np.round(gap[:, 1] / TURN) * (np.abs(gap[:, 1]) < 1.5 * TURN)
             parts.append(np.where(self.recorded, gap, 0.0))
         return np.stack(parts, axis=2)
@@ -211,7 +214,7 @@ class CellTruth:
         if linear is None:
             return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
         constant, design = linear
-        return constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
+        return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
 
     def _quantised(self, deviation: Floats) -> Floats:
         """Deviations (n, 3, B) that give readings rounded to the resolution, in place."""
@@ -232,17 +235,17 @@ class CellTruth:
 
 
 def truth_of(
-    scenario: Scenario, seed: int, *key: str | int, like: CellTruth | None = None, plan: Layout | None = None
+    scenario: Scenario, seed: int, *key: str | int, like: CellTruth | None = None, plan: WorkshopLayout | None = None
 ) -> CellTruth:
     """Truth of a scenario with a geometry that is drawn once; raises SetupError.
 
     `key` is the stream key of the geometry; default that of `simulate`. `like`, a truth of the same scenario with
     another geometry, provides the set-up if the same targets are visible; `plan` is the planned layout.
     """
-    read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
+    read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
-    work = fieldwork(scenario, seed, *key, plan=plan)
+    work = make_geometry(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
     s, reference = work.sightings, None if like is None else like.recording
@@ -253,25 +256,25 @@ def truth_of(
         and (s.station_names, s.target_names) == (reference.stations, reference.targets)
     ):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
-        there = replace(like.population, sightings=s, noise=nominal_noise(scenario, s))
+        there = replace(like.population, sightings=s, noise_sigmas=nominal_noise(scenario, s))
         nominal, state = (
-            reference.replace(**pointings, readings=s.raw, notes=work.notes),
-            _start_frame(work, there.mean),
+            reference.replace(**pointings, readings=s.raw, notes=work.hidden_pair_notes),
+            _start_frame(work, there.instrument_means),
         )
         return replace(like, recording=nominal, state=state, population=there, work=work)
-    recording = error_free(work)
-    population = population_of(work, recording)
+    recording = error_free_recording(work)
+    population = trial_distributions(work, recording)
     return CellTruth(
         recording=recording,
-        state=_start_frame(work, population.mean),
+        state=_start_frame(work, population.instrument_means),
         population=population,
-        step=resolution_of(scenario),
+        step=instrument_resolutions(scenario),
         recorded=np.isin(OBSERVABLES, [*next(iter(read))]),
         work=work,
     )
 
 
-def _start_frame(work: Fieldwork, mean: Floats) -> NetworkState:
+def _start_frame(work: MeasurementGeometry, mean: Floats) -> NetworkState:
     """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
     s = work.sightings
     if any(station.levelled for station in work.scenario.stations.values()):

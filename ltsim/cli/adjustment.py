@@ -87,9 +87,9 @@ def correct(
     from ltsim.physics.effects import title_of
 
     recording, instrument = reading.of(source), read_calibration(calibration)
-    corrected = lt.correct(recording, instrument, again=force, rejected=rejected)
+    corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=rejected)
     terminal.notes((*recording.notes, *instrument.warnings))
-    if not instrument.names:
+    if not instrument.instrument_parameter_names:
         terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])
     if instrument.effects:
         estimated = ", ".join(title_of(effect.effect) for effect in instrument.effects)
@@ -127,7 +127,7 @@ def evaluate(
 
     terminal.check_overwrite(Criteria)
     recording = reading.open(source, terminal)
-    gross = screen_gross_errors(recording).gross
+    gross = screen_gross_errors(recording).is_gross_pointing
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
@@ -165,13 +165,13 @@ def _fitted(
     options: dict[str, Any],
 ) -> None:
     """Common part of `adjust` and `calibrate`: fit, writing and output; each replaces only its own earlier results."""
-    from ltsim.adjustment.joint import COVARIANCE
+    from ltsim.adjustment.joint import COVARIANCE_FILE
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
-    from ltsim.calibration.schema import RESIDUALS, TARGETS
+    from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 
     adjust_only = verb is lt.adjust
-    names = (TARGETS.file, COVARIANCE, RESIDUALS.file)
+    names = (TARGETS_TABLE.file, COVARIANCE_FILE, RESIDUALS_TABLE.file)
     terminal.check_overwrite(
         Calibration, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
     )
@@ -287,7 +287,7 @@ def history(
         from ltsim.reports.figures.parameters import history_figure
         from ltsim.reports.style import svg
 
-        return {"history.svg": svg(history_figure(content.labels, content.determined))}
+        return {"history.svg": svg(history_figure(content.labels, content.determined_parameters))}
 
     written = terminal.write(content, drawn)
     terminal.result(written)

@@ -21,7 +21,7 @@ from ltsim.recordings.files import is_number
 from ltsim.simulation.builtin import builtin_names
 
 if TYPE_CHECKING:
-    from ltsim.adjustment.fieldcheck import Check, Item
+    from ltsim.adjustment.fieldcheck import Check, CheckItem
     from ltsim.measurands.spec import Tasks
     from ltsim.recordings.coordinates import Coordinates
     from ltsim.recordings.recording import Recording
@@ -60,9 +60,9 @@ def check(
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.adjustment.fieldcheck import Check, write_check
-    from ltsim.adjustment.fieldcheck.result import TWO_FACE
+    from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE
 
-    terminal.check_overwrite(Check, TWO_FACE.file, "check.svg")
+    terminal.check_overwrite(Check, TWO_FACE_TABLE.file, "check.svg")
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -143,7 +143,7 @@ def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None])
             return
 
 
-def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
+def _key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 

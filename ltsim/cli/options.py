@@ -135,9 +135,9 @@ class ControlledReading(ReadingOptions):
         recording = super().of(path, growing=growing)
         if self.control is None:
             return recording
-        from ltsim.adjustment.axes import with_control
+        from ltsim.adjustment.axes import with_control_points
 
-        return with_control(recording, self.control)
+        return with_control_points(recording, self.control)
 
 
 @dataclass(frozen=True)
@@ -391,7 +391,7 @@ def in_axes(recording: Recording, frame: Path) -> Recording:
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
             return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
     from ltsim.simulation.scenario import load_scenario
-    from ltsim.simulation.workshop import planned
+    from ltsim.simulation.workshop import planned_layout
 
-    layout = planned(load_scenario(str(frame)))
-    return in_axes_of_points(recording, dict(zip(layout.targets, layout.points, strict=True)), str(frame))
+    layout = planned_layout(load_scenario(str(frame)))
+    return in_axes_of_points(recording, dict(zip(layout.target_names, layout.target_points, strict=True)), str(frame))

@@ -146,11 +146,11 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
     from ltsim.planning.result import opened
     from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
-    from ltsim.simulation.workshop import bodies_of
+    from ltsim.simulation.workshop import placed_obstacles
 
     _, scenario = opened(source)
-    for body in bodies_of(scenario):
-        terminal.say(body.words)
+    for body in placed_obstacles(scenario):
+        terminal.say(body.description)
 
     def keep(survey: Survey) -> None:
         if folder is not None:

@@ -139,7 +139,7 @@ def inject(
     lt.write(made, out)
     if truth is not None:
         write_text(truth, json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
-    terminal.answer({"pointings": len(made), "injected": len(injected.causes), "seed": options["seed"]})
+    terminal.answer({"pointings": len(made), "injected": len(injected.injected_effects), "seed": options["seed"]})
     if truth is None:
         terminal.say(repr(injected))
     terminal.say(f"written to {out}" + (f", injected values to {truth}" if truth else ""))
@@ -152,7 +152,7 @@ def _curve(
     with terminal.progress("injecting and diagnosing"):
         power = lt.injection_curve(recording, causes[0], **options)
     table = power.table()
-    terminal.answer({"background": list(power.background), "curve": table.json()})
+    terminal.answer({"background": list(power.background_effects), "curve": table.json()})
     terminal.say(power._lines()[0])
     terminal.say(table.text())
     if file is not None:

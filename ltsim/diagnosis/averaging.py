@@ -49,12 +49,12 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.members, fitted.effects, strict=True)]
     space, linear = searcher.space, first_order_change(searcher, searcher.with_members(refitted))
-    points, change = fitted.adjustment.state.target_points + space.moved_targets(linear), -linear
+    points, change = fitted.adjustment.state.target_points + space.target_shifts(linear), -linear
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(model, i)
         weights, changes = model_weights(searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty)
-        shifts = np.stack([-space.moved_targets(row) for row in changes])
+        shifts = np.stack([-space.target_shifts(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
         change += weights @ changes
@@ -64,9 +64,9 @@ def averaged(searcher: Searcher, model: Model, rankings: Sequence[Ranking], fitt
     residual_shift = (1.0 - _safe_share(fitted.adjustment, by_laws, deviations)) * by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = fitted.adjustment
-    covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target)
+    covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return Targets(points - residual_shift, covariance, spread), space.unwhitened(change)
+    return Targets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> float:
@@ -75,11 +75,13 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
     Explanations deviate by (k, T, 3) [m].
     """
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.target_points)
-    shift = without_rigid_motion(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
+    shift = without_rigid_motion(
+        np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
+    )[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])
-    along[problem.unknowns.target.ravel()] = shift
+    along[problem.unknowns.target_columns.ravel()] = shift
     disagreed = np.nan_to_num(deviations).reshape(len(deviations), len(shift)) @ shift
-    spread = float(along @ adjusted.factor.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
+    spread = float(along @ adjusted.factorised_normals.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
     noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(deviations**2))
     return safe_share(float(shift @ shift), spread, noise)
 
@@ -143,14 +145,14 @@ def _shaped(searcher: Searcher, others: Model, chosen: Hypothesis) -> list[tuple
 def first_order_change(searcher: Searcher, model: Model) -> Floats:
     """First-order change (m,) of the whitened readings by all members of a refitted model."""
     if not model.members:
-        return np.zeros(searcher.space.size)
+        return np.zeros(searcher.space.n_rows)
     mean = wide_posterior(*model.products, np.concatenate([h.spread for h in model.members]))[0]
-    change: Floats = np.hstack([searcher.space.signature(h.effect) for h in model.members]) @ mean
+    change: Floats = np.hstack([searcher.space.whitened_signature(h.effect) for h in model.members]) @ mean
     return change
 
 
 def expected_change(searcher: Searcher, others: Model, hypothesis: Hypothesis) -> Floats:
     """Posterior mean (m,) of the change of the whitened readings by an explanation, given the other members."""
     moments = searcher.exact.moments([hypothesis.effect], others)[0]
-    change: Floats = searcher.space.signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
+    change: Floats = searcher.space.whitened_signature(hypothesis.effect) @ posterior(*moments, hypothesis.spread)[0]
     return change

@@ -99,23 +99,23 @@ class CatalogueSignatures:
         """Signatures of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
         by_shape: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
-        read = np.nonzero(space.use)
-        other = np.ones(space.size - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
-        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.use.shape, strict=True))
+        read = np.nonzero(space.used_readings)
+        other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
+        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
         for effect in effects:
-            signature = space.signature(effect)
+            signature = space.whitened_signature(effect)
             places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
             if len(places):
                 signature = signature[places]
                 signature *= effect.size_scales
                 effect, coarser = _scaled_to_noise(effect, signature, pointing[places])
                 rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
-                sparse = len(places) < SPARSE * space.size
+                sparse = len(places) < SPARSE * space.n_rows
                 touched = () if sparse else tuple(np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0)
                 by_shape.setdefault((len(rows), touched), []).append((len(touching), places, rows))
                 touching.append(effect)
         groups = [
-            _sparse(size, made, space.size)
+            _sparse(size, made, space.n_rows)
             if not touched
             else _dense(size, made, np.flatnonzero(np.array(touched)[kind]))
             for (size, touched), made in sorted(by_shape.items(), key=lambda item: item[0])
@@ -129,8 +129,8 @@ class CatalogueSignatures:
 
         The geometry is not updated, because other weights move a network by far less than its lengths.
         """
-        ratio = np.ones(after.size, dtype=np.float32)
-        ratio[: int(after.use.sum())] = (before.sigma / after.sigma)[after.use]
+        ratio = np.ones(after.n_rows, dtype=np.float32)
+        ratio[: int(after.used_readings.sum())] = (before.sigma / after.sigma)[after.used_readings]
         return replace(self, groups=[group.scaled(ratio) for group in self.groups])
 
     def score(self, probe: NullEnsemble) -> tuple[Floats, Floats]:

@@ -7,10 +7,10 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.identification import Selection, identified, outcomes
+from ltsim.adjustment.identification import CauseSelection, cause_tests, identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.structure import refusing_singular
+from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.prior_information import EarlierCalibrations
 from ltsim.core.arrays import Floats
@@ -59,7 +59,7 @@ to 7) for each additional one.
 """
 
 
-@refusing_singular
+@raise_for_singular_network
 @single_threaded
 def diagnose(
     recording: Recording,
@@ -101,10 +101,10 @@ def diagnose(
     compared = (
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
     )
-    selection = identified(recording, construction)
+    selection = identify_causes(recording, construction)
     if selection is None:
         baseline, mistaken = adjust(recording, construction), list[Finding]()
-        use = baseline.problem.use
+        use = baseline.problem.used_readings
     else:
         baseline, use, mistaken = adapted_baseline(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
@@ -117,7 +117,7 @@ def diagnose(
             case = SelectionState(baseline, use, seed, trials, ordinary=history is None)
             beginning, detection, model, fitted = _searched(case, level, compared)
     mismatch = detection.p_value < level
-    settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
+    settled = fitted.adjustment if fitted.adjustment.solution.has_converged else baseline
     contradicting = _contradicting_constants(case, model, settled, compared)
     odd = [instrument_finding(c) for c in contradicting if not _varies(c.parameter.name, model.effects)][:MOST_MEMBERS]
     explained = Explained(case, detection, model, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
@@ -207,8 +207,8 @@ def _mean_and_variance(case: SelectionState, threshold: float) -> Model:
     alone, sigma, adjusted = list(case.noise), case.sigma, case.space.adjustment
     case.prune_variance_components(case.searcher.search(threshold, something=True).effects)
     model, space = case.searcher.search(threshold, something=False), case.space
-    factor = (sigma / case.sigma)[space.use] ** 2
-    squares, share = (rows[: len(factor)] for rows in (space.residual**2, space.redundancy))
+    factor = (sigma / case.sigma)[space.used_readings] ** 2
+    squares, share = (rows[: len(factor)] for rows in (space.residuals**2, space.redundancy))
     if model.members and model.score - restricted(squares, share, factor).sum() > threshold:
         return model
     case.noise, case.sigma = alone, sigma
@@ -299,7 +299,7 @@ def _report(
     certain: Sequence[Finding],
     settled: Adjustment,
     errors: HeldOut,
-    selection: Selection | None,
+    selection: CauseSelection | None,
     *,
     mismatch: bool,
 ) -> Diagnosis:
@@ -339,7 +339,7 @@ def _report(
         undetectable=undetectable,
         detectable=tuple(map(DetectableEntry.of, detectable)),
         instruments=instrument_entries(settled),
-        tests=() if selection is None else outcomes(selection),
+        tests=() if selection is None else cause_tests(selection),
     )
 
 
@@ -363,7 +363,7 @@ def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut
     case, nominal = explained.case, explained.case.recording.sigma()
     space, seed = case.searcher.space, case.seed
     if (case.sigma < nominal).any():
-        space = ResidualSpace.of(case.refit((), np.maximum(case.sigma, nominal)).adjustment)
+        space = ResidualSpace.from_adjustment(case.refit((), np.maximum(case.sigma, nominal)).adjustment)
     if not explained.model.members:
         before = held_out_errors(space, seed).before
         return HeldOut(before, before)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.identification.tests import CauseTest
 from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
@@ -73,7 +73,7 @@ class Diagnosis(ResultFile):
     """Global test of the ordinary model."""
     findings: tuple[Finding, ...] = ()
     """Unmodelled causes that explain the readings."""
-    tests: tuple[Test, ...] = ()
+    tests: tuple[CauseTest, ...] = ()
     """Table of tests, as in `adjust` and `check`: simple causes that the readings support, and outliers."""
     fit: BeforeAfter | None = None
     """Misfit without and with the findings."""
@@ -173,7 +173,7 @@ class Diagnosis(ResultFile):
         adjusted, state = self.adjusted, self.adjusted.state
         model = adjusted.problem.model
         change = model.effects_change(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
-        change = np.where(adjusted.rejected, change + adjusted.residuals, change)
+        change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
         corrected[:, 1:] = wrap(corrected[:, 1:])
         return np.nan_to_num(change + corrected)
@@ -186,7 +186,7 @@ class Diagnosis(ResultFile):
         problem, state = self.adjusted.problem, self.adjusted.state
         none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
         shifts = problem.length_residuals(none) - problem.length_residuals(state)
-        gauge = problem.gauge
+        gauge = problem.gauge_rows
         used = dict(zip(zip(gauge.first.tolist(), gauge.second.tolist(), strict=True), shifts.tolist(), strict=True))
         lengths = ReferenceLengths.of(recording)
         arm = state.target_points[lengths.second] - state.target_points[lengths.first]

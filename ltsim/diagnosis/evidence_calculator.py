@@ -38,7 +38,7 @@ class EvidenceCalculator:
 
     def __init__(self, space: ResidualSpace) -> None:
         self.space = space
-        self._pointing = np.nonzero(space.use)[0]
+        self._pointing = np.nonzero(space.used_readings)[0]
         self._grams: dict[CandidateEffect, Floats] = {}
         self._carried: dict[str, Floats] = {}
         self._rows: dict[Place, Rows] = {}
@@ -95,7 +95,7 @@ class EvidenceCalculator:
     def signature(self, effect: CandidateEffect) -> Floats:
         """Whitened signature (m, k) of an effect."""
         rows = self._rows_of(effect)
-        whole = np.zeros((self.space.size, len(effect.parameters)))
+        whole = np.zeros((self.space.n_rows, len(effect.parameters)))
         whole[rows.place] = self._signatures([effect], rows)[0]
         return whole
 
@@ -127,7 +127,7 @@ class EvidenceCalculator:
         """Whitened signatures (r, q) of effects in adjacent columns on their rows, and the limits of each effect."""
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
-            return np.hstack([self.space.signature(effect) for effect in effects]), edges
+            return np.hstack([self.space.whitened_signature(effect) for effect in effects]), edges
         signatures = np.empty((len(rows.pointing), edges[-1]))
         carried: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
@@ -155,5 +155,5 @@ class EvidenceCalculator:
         if len(new) < len(effects):
             columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
         ends = np.append(0, np.cumsum(np.diff(edges)[new]))
-        grams = self.space.projection.grams(columns, ends, rows.place)
+        grams = self.space.projector.gram_matrices(columns, ends, rows.place)
         self._grams.update(zip((effects[i] for i in new), grams, strict=True))

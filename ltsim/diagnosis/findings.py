@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
-from ltsim.adjustment.significance import NOT_EXCLUDED
+from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number
 from ltsim.diagnosis.detect import Detection
@@ -69,7 +69,7 @@ class Explained:
         effect, spread = self.refit.effects[member], model.members[member].spread
         mean = posterior(*searcher.exact.moments([effect], others)[0], spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
-        shift = searcher.space.signature(effect) @ mean
+        shift = searcher.space.whitened_signature(effect) @ mean
         likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
         return searcher.rank(others).with_rivals(noises).with_unmodelled_cause(likeness)
 
@@ -141,10 +141,10 @@ class Explained:
         p_located = self.p_located[member]
         gain = self.gains[member]
         mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
-        signature, rows = space.signature(effect), int(space.use.sum())
+        signature, rows = space.whitened_signature(effect), int(space.used_readings.sum())
         done = signature @ mean
         projected = searcher.with_members([hypothesis]).projected[0] @ mean
-        where = self._where(effect, active_observables(space.use, done[:rows], projected[:rows]))
+        where = self._where(effect, active_observables(space.used_readings, done[:rows], projected[:rows]))
         estimates = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
@@ -188,7 +188,7 @@ class Explained:
 
     def _readings(self, gain: Floats) -> str:
         """Sentence on the readings with most of a gain (m,), if they are few."""
-        use, recording = self.case.searcher.space.use, self.case.recording
+        use, recording = self.case.searcher.space.used_readings, self.case.recording
         reading_gain = gain[: int(use.sum())]
         worst = np.argsort(-reading_gain)
         count = int(np.searchsorted(np.cumsum(reading_gain[worst]), MOSTLY * max(float(gain.sum()), TINY))) + 1
@@ -330,7 +330,9 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
 
 def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name, and the most probable other names that are not excluded."""
-    others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
+    others = [
+        Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > MIN_REPORTED_PROBABILITY
+    ]
     return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
+from ltsim.calibration.evidence import log_evidence_by_size, log_sum_exp, size_weights_and_constants
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.null_ensemble import NullEnsemble
@@ -144,12 +144,12 @@ class LawBatch:
         null = np.full((1, probe.trials.shape[1]), -np.inf)
         if probe.is_first_pass:
             turned = self._turned(probe.gram(scores, self._self_products(part)), part)
-            self._forms[part.start] = [(forms_of(strength), turn) for strength, turn in turned]
+            self._forms[part.start] = [(size_weights_and_constants(strength), turn) for strength, turn in turned]
             if probe.trials.shape[1]:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
-            log_sum_exp(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
+            log_sum_exp(log_evidence_by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
             for forms, turn in self._forms[part.start]
         ]
         return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)

@@ -116,7 +116,7 @@ class NoiseBank:
         """
         repeated = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeated))
-        used, variance = space.use, space.sigma**2
+        used, variance = space.used_readings, space.sigma**2
         parts: list[tuple[Ints, Floats]] = []
         added: dict[VarianceFunction, Floats] = {}  # per unit of the size, of which the variance is linear
         for h in hypotheses:
@@ -132,19 +132,19 @@ class NoiseBank:
                     _variance_of_mean(m, factor if kind == faces else np.ones(0))
                     for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
                 ]
-                factor = np.concatenate([np.ones(space.size), *grown])
+                factor = np.concatenate([np.ones(space.n_rows), *grown])
             rows = np.flatnonzero(factor != 1.0)
             parts.append((rows, factor[rows]))
         ends = np.cumsum([0, *(len(rows) for rows, _ in parts)])
         places, factors = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
         gain, logs = (
-            sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.size + means.shape[0]))
+            sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.n_rows + means.shape[0]))
             for values in (1.0 - 1.0 / factors, np.log(factors))
         )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
+        basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
         amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space))
         return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts, space)
 
@@ -229,12 +229,12 @@ def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_
     """
     s = space.sightings
     pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == REPEATS_PER_FACE))
-    key = (3 * pair[:, None] + np.arange(3))[space.use]
+    key = (3 * pair[:, None] + np.arange(3))[space.used_readings]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
     _, number = np.unique(group[keep], return_inverse=True)
     places = np.flatnonzero(keep)
-    shape = (int(number.max(initial=-1)) + 1, space.size)
+    shape = (int(number.max(initial=-1)) + 1, space.n_rows)
     return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
 
 
@@ -258,7 +258,7 @@ def reml_gain(
     Each reading depends on one parameter at most. The effect acts on the standard deviations `sigma` (n, 3); residuals
     (m,) are whitened by those of the space.
     """
-    faces, used, scale = getattr(effect, "repetition", ""), space.use, effect.size_scales
+    faces, used, scale = getattr(effect, "repetition", ""), space.used_readings, effect.size_scales
     means = repeat_means(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else _share_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
@@ -306,7 +306,7 @@ def most_likely(space: ResidualSpace, nominal: Floats, hypothesis: NoiseHypothes
     standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.size_scales
-    gained = reml_gain(space, nominal, effect, space.residual, space.redundancy)
+    gained = reml_gain(space, nominal, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _tail(hypothesis, gained)
     least, most = np.full(len(scale), np.log1p(effect.min_relative_size)), np.full(len(scale), np.log1p(LARGEST))

@@ -60,15 +60,15 @@ class NullEnsemble:
     @classmethod
     def of(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
         """Ensemble of a residual space, with `trials` simulated recordings."""
-        projection = space.projection
+        projection = space.projector
         sampled = not (isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS)
         null = _simulated(space, stream(seed, "diagnose", "null"), trials)
         basis = _simulated(space, stream(seed, "diagnose", "gauges"), GRAM_DRAWS) if sampled else None
         if isinstance(projection, BasisProjection) and basis is None:
             basis = projection.basis.astype(np.float32)
         assert basis is not None
-        nothing = np.zeros((space.size, 0))
-        return cls(space, space.residual, nothing, null, basis, is_first_pass=True, gram_is_monte_carlo=sampled)
+        nothing = np.zeros((space.n_rows, 0))
+        return cls(space, space.residuals, nothing, null, basis, is_first_pass=True, gram_is_monte_carlo=sampled)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble given a model, with its residual (m,) and orthonormal basis (m, e).
@@ -86,7 +86,7 @@ class NullEnsemble:
     @cached_property
     def pointings(self) -> Singles:
         """Vectors (n, 3, v) by pointing; zero for readings that are not used."""
-        use = self.space.use
+        use = self.space.used_readings
         full = np.zeros((*use.shape, self.vectors.shape[1]), dtype=np.float32)
         full[use] = self.vectors[: int(use.sum())]
         return full
@@ -112,7 +112,7 @@ class NullEnsemble:
 
 def _simulated(space: ResidualSpace, rng: np.random.Generator, count: int) -> Singles:
     """Residuals (m, count) of simulated recordings."""
-    white = rng.standard_normal((space.size, count))
+    white = rng.standard_normal((space.n_rows, count))
     return (space.project(white) if count else white).astype(np.float32)
 
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ltsim.adjustment.remedies.detectability import MinimalSize
 from ltsim.calibration.combinations import DeterminedEntry
-from ltsim.calibration.schema import COORDINATES, RESIDUALS
+from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE
 from ltsim.core.results import Column, Table, columns_of, numbers, texts
 from ltsim.core.units import FACTOR
 from ltsim.physics.effects.signature import Parameter, ShapeParameter
@@ -17,11 +17,11 @@ TARGETS = Table(
     "targets.csv",
     "targets adjusted with the findings modelled",
     (
-        *COORDINATES,
+        *COORDINATE_COLUMNS,
         *numbers(".6f", change_x_mm="against the ordinary adjustment", change_y_mm="as x", change_z_mm="as x"),
     ),
 )
-BEFORE = replace(RESIDUALS, file="residuals_before.csv", about="residuals of the ordinary adjustment")
+BEFORE = replace(RESIDUALS_TABLE, file="residuals_before.csv", about="residuals of the ordinary adjustment")
 
 
 class Where(Entry):
@@ -198,7 +198,7 @@ class DetectableEntry(Entry):
     @classmethod
     def of(cls, minimal: MinimalSize) -> Self:
         """Entry of a minimal detectable size at a median place."""
-        size = minimal.typical / FACTOR[minimal.unit]
+        size = minimal.median_size / FACTOR[minimal.unit]
         return cls(effect=minimal.effect, parameter=minimal.parameter, size=size, unit=minimal.unit)
 
 

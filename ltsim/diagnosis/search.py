@@ -102,7 +102,7 @@ class Searcher:
             )
         self.cards = cards
         self.panels: list[LawBatch] = panels(space, ordinary=ordinary)
-        self.empty = Model((), (), (), space.residual)
+        self.empty = Model((), (), (), space.residuals)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._projected: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.exact = EvidenceCalculator(space)
@@ -114,12 +114,12 @@ class Searcher:
         Screening uses the Gram matrices of the whole network, evaluation those without the rows; neither depends on the
         readings.
         """
-        unit = np.zeros((self.space.size, len(rows)))
+        unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         rest = copy(self)
         rest.space, rest.large, rest._most = self.space.augmented(unit), True, FEW
-        rest.probe = self.probe.with_model(rest.space.residual, self.empty.basis)
-        rest.empty = Model((), (), (), rest.space.residual)
+        rest.probe = self.probe.with_model(rest.space.residuals, self.empty.basis)
+        rest.empty = Model((), (), (), rest.space.residuals)
         rest._ranked, rest._projected = {}, OrderedDict()
         rest.exact = EvidenceCalculator(rest.space)
         rest.first = rest._screened(rest.empty)
@@ -262,7 +262,7 @@ class Searcher:
         if not members:
             return self.empty
         parts = [self._projected_signature(h) for h in members]
-        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
+        return Model(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residuals)
 
     def without(self, model: Model, member: int) -> Model:
         """Model without a member."""

@@ -112,7 +112,7 @@ class _Maker:
 
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings
-        self._sigma, self._use = space.sigma, space.use
+        self._sigma, self._use = space.sigma, space.used_readings
         self._carriers: dict[tuple[str, int], list[tuple[Response, Floats]]] = {}
         self._asked: dict[
             tuple[tuple[Response, ...], tuple[Regressor, ...]], list[tuple[tuple[LawPlace, ...], float]]

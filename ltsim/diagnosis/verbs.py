@@ -49,5 +49,5 @@ def diagnose(
     >>> found.verdict, len(found.findings)
     ('consistent', 0)
     """
-    earlier = None if history is None else EarlierCalibrations.of(history)
+    earlier = None if history is None else EarlierCalibrations.from_source(history)
     return diagnosis_of(recording_of(recording), level=level, seed=seed, history=earlier, held_out=held_out)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.unmodelled import air_covariance, reach_of
+from ltsim.adjustment.unmodelled import air_covariance, displacement_per_row
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.notation import listing
@@ -141,13 +141,15 @@ class _Epoch:
 
     @classmethod
     def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
-        columns = adjustment.problem.unknowns.target[at].reshape(1, -1)
-        reach = reach_of(adjustment, columns[0])
+        columns = adjustment.problem.unknowns.target_columns[at].reshape(1, -1)
+        reach = displacement_per_row(adjustment, columns[0])
         groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
         names = [adjustment.recording.targets[i] for i in at]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
-        return cls(names, adjustment.state.target_points[at], covariance, np.hstack(given), adjustment.problem.free)
+        return cls(
+            names, adjustment.state.target_points[at], covariance, np.hstack(given), adjustment.problem.free_motions
+        )
 
     @classmethod
     def listed(cls, coordinates: Coordinates, common: Sequence[str], free: Floats) -> Self:
@@ -181,7 +183,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
         and later.gauge is not None
         and _certificate(earlier.gauge) == _certificate(later.gauge)
     ):
-        shared = [a.problem.gauge.shared for a in (first, second)]
+        shared = [a.problem.gauge_rows.shared for a in (first, second)]
         common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(EXPANSION_ERROR))]
     control = [{n: t.known_mm for n, t in s.targets.items() if t.known_mm is not None} for s in (earlier, later)]
     if control[0] and control[0] == control[1]:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjustment.structure import refusing_singular
-from ltsim.calibration.result import frame_of
+from ltsim.adjustment.structure import raise_for_singular_network
+from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, Output
@@ -82,7 +82,7 @@ class Evaluation:
         if isinstance(origin, Coordinates):
             source, frame, sigma0 = SourceEntry.listed(origin), "that of the list of coordinates", None
         else:
-            source, frame, sigma0 = SourceEntry.of(origin.recording), frame_of(origin), origin.sigma0
+            source, frame, sigma0 = SourceEntry.of(origin.recording), frame_text(origin), origin.sigma0
         return Uncertainty(
             recording=source,
             title=self.tasks.title,
@@ -150,7 +150,7 @@ class Evaluation:
         )
 
 
-@refusing_singular
+@raise_for_singular_network
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     """Results of tasks with their uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
     return _evaluated(Inputs.of(recording, tasks), tasks)

@@ -11,7 +11,13 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.unmodelled import air_responses, common_responses, counted_air, longest_sight, reach_of
+from ltsim.adjustment.unmodelled import (
+    displacement_per_row,
+    displacements_by_air,
+    displacements_by_shared_air,
+    longest_range,
+    relevant_air,
+)
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.units import MILLIMETRE
@@ -97,15 +103,15 @@ class Inputs(ValueEquality):
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         at = np.array([recording.targets.index(name) for name in names])
-        reach = reach_of(adjustment, adjustment.problem.unknowns.target[at].ravel())
+        reach = displacement_per_row(adjustment, adjustment.problem.unknowns.target_columns[at].ravel())
         observed = [replace(s, response=_compact(s.response)) for s in observed_sources(adjustment, reach)]
         observed += smr_sources(adjustment, reach)
         further = [_type_b(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
         air = _air_of(tasks, adjustment)
-        counted = counted_air(adjustment, air)
+        counted = relevant_air(adjustment, air)
         further += air_sources(adjustment, reach, counted) if counted else []
-        words = air_uncertainty_text(counted, longest_sight(adjustment)) if counted else ""
-        hidden = common_responses(adjustment, reach, air)
+        words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
+        hidden = displacements_by_shared_air(adjustment, reach, air)
         return cls(adjustment, names, adjustment.state.target_points[at], reach, (*observed, *further), words, hidden)
 
     @classmethod
@@ -147,26 +153,26 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     errors with a prior that the adjustment estimates (heads, reflectors, groups of readings).
     """
     problem = adjustment.problem
-    observable = np.nonzero(problem.use)[1]
+    observable = np.nonzero(problem.used_readings)[1]
     groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
-    gauge, at = problem.gauge, len(observable)
+    gauge, at = problem.gauge_rows, len(observable)
     by_length = reach[at : at + len(gauge)].T
     at += len(gauge)
     for name, count in (
-        (CONTROL, problem.control.count + problem.mark_control.count),
-        ("known differences", problem.differences.count),
-        ("levels", 2 * len(problem.levels)),
-        ("orientations", len(problem.yaws)),
-        ("", problem.structure.held),
+        (CONTROL, problem.control_rows.n_coordinates + problem.mark_control_rows.n_coordinates),
+        ("known differences", problem.difference_rows.n_coordinates),
+        ("levels", 2 * len(problem.level_rows)),
+        ("orientations", len(problem.yaw_rows)),
+        ("", problem.structure.n_fixed),
         (PRIORS, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
     sources = [Source(name, "A", reach[rows].T) for name, rows in groups if name and len(rows)]
     if len(gauge):
-        lengths = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
+        lengths = Source(LENGTHS, "A", by_length @ gauge.decorrelate(np.diag(gauge.certificate)))
         sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
-    shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
+    shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared.items())
     sources += [Source(name, "B", response[:, None]) for name, response in shared]
     return [*sources, *_sources_of_certificates(adjustment, reach[at:])]
 
@@ -189,7 +195,7 @@ def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     All pointings of an SMR share one error, along the normals.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
-    rows, columns = np.nonzero(problem.use)
+    rows, columns = np.nonzero(problem.used_readings)
     normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
     sources = []
     for name, reflector in adjustment.recording.setup.reflectors.items():
@@ -212,7 +218,7 @@ def _air_of(tasks: Tasks, adjustment: Adjustment) -> Air:
 
 def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
     """Sources of the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
-    responses = air_responses(adjustment, reach, air)
+    responses = displacements_by_air(adjustment, reach, air)
     return [Source(name, "B", _compact(response)) for name, response in responses.items()]
 
 
@@ -227,7 +233,7 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
     effect, sizes = _effect(adjustment.recording, entry, number)
     sigma = sizes * SPREAD[entry.distribution]
     problem = adjustment.problem
-    rows, columns = np.nonzero(problem.use)
+    rows, columns = np.nonzero(problem.used_readings)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
     whitened = design / problem.sigma[rows, columns][:, None]
     group = _shares(adjustment.recording, entry.shared)[rows]
@@ -235,12 +241,12 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
         response[:, g] = reach[mine].T @ whitened[mine]
-    gauge = problem.gauge
+    gauge = problem.gauge_rows
     lengths = effect.gauge_design(gauge.first, gauge.second, adjustment.state.target_points) * sigma
     if np.any(lengths):
         if entry.shared != "all":
             raise SetupError(f'type_b.{number}.shared: {entry.effect} acts on known lengths, expected shared = "all"')
-        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.whitened(lengths)
+        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
     if not np.any(response):
         raise SetupError(f"type_b.{number}: {entry.effect} acts on no reading that the tasks depend on")
     place = ", ".join(entry.stations + entry.targets)

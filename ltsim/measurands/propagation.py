@@ -111,7 +111,7 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
         return np.zeros(sum(len(m.outputs) for m in measurands))
     recording, problem = origin.recording, origin.problem
     at = [recording.targets.index(name) for name in inputs.targets]
-    used, count = problem.use, int(problem.use.sum())
+    used, count = problem.used_readings, int(problem.used_readings.sum())
     worst = np.zeros(sum(len(m.outputs) for m in measurands))
     for i in range(CHECKS):
         noise = stream(seed, "curvature", i).standard_normal(count)
@@ -121,9 +121,9 @@ def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Flo
             recording.with_readings(readings),
             origin.construction,
             sigma=problem.sigma,
-            use=problem.use,
+            reading_mask=problem.used_readings,
             start=origin.state,
-            datum=origin.datum.names if origin.datum is not None else None,
+            datum=origin.datum.point_names if origin.datum is not None else None,
         )
         shift = (noise @ inputs.reach[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])

@@ -27,7 +27,7 @@ from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import POINT_RANK_TOLERANCE, as_dense, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
 POSE_SCALE = 1e-5
 """[m, rad] Internal unit of poses and targets, so that all columns have a similar norm."""
@@ -108,13 +108,13 @@ class LayoutScorer:
         pointings, state = whole.recording(self.construction), whole.state(self.construction)
         # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
         problem = (
-            Adjustment.planned(pointings, state, self.construction).problem
+            Adjustment.from_plan(pointings, state, self.construction).problem
             if survey.is_whole
-            else NetworkProblem.of(MeasurementModel(pointings, self.construction))
+            else NetworkProblem.from_model(MeasurementModel(pointings, self.construction))
         )
-        self._rank_free, self._free = problem.free.shape[1], problem.free
+        self._rank_free, self._free = problem.free_motions.shape[1], problem.free_motions
         self._vertical = np.full((self.stations, 3), np.nan)
-        self._vertical[problem.levels.station] = problem.levels.vertical
+        self._vertical[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
         self.prior_sigma = problem.prior.sigma[0]
         self._reflectors = [
             (e, by_target(e, pointings.target, len(survey.points))) for e in problem.model.incidence_errors
@@ -122,15 +122,15 @@ class LayoutScorer:
         self._nuisance = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([np.ones(self._nuisance), self.prior_sigma, np.array(sizes, dtype=np.float64)])
-        self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.n_reduced)
-        self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.n_reduced)
-        rows = problem.linearise(state).design[int(problem.use.sum()) :]
-        other = as_dense(rows[: rows.shape[0] - self._rank_free])
+        self._gauge = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_reduced)
+        self.mesh = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
+        rows = problem.linearise(state).design[int(problem.used_readings.sum()) :]
+        other = to_dense(rows[: rows.shape[0] - self._rank_free])
         at = problem.unknowns
-        values = np.concatenate([at.extra[: self._nuisance], at.instrument[0]])
-        self._other_blocks(other, at.target, at.pose, values)
+        values = np.concatenate([at.extra_columns[: self._nuisance], at.instrument_columns[0]])
+        self._other_blocks(other, at.target_columns, at.pose_columns, values)
         self._weight, self._use = survey.weight, survey.used
-        self._anchors_turn = problem.structure.anchors_turn
+        self._anchors_turn = problem.structure.fixes_datum_rotations
         self._motion = rigid_motion(survey.points) @ self._free
 
     def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
@@ -244,7 +244,7 @@ class LayoutScorer:
 
         It is NaN for undetermined unknowns; (B, K) are the squared norms of the columns of the design, for that test.
         """
-        unit, scale = unit_diagonal(schur, length)
+        unit, scale = scale_to_unit_diagonal(schur, length)
         roots, _ = cholesky_where_determined(unit)
         last = slice(schur.shape[1] - len(self.scale) + self._nuisance, schur.shape[1])
         corner = roots[:, last, last] / scale[:, last, None]

@@ -18,7 +18,11 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
+from ltsim.adjustment.remedies.undetermined import (
+    ParameterCombination,
+    determining_sentences,
+    undetermined_combinations,
+)
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
@@ -49,7 +53,7 @@ class LayoutInformation:
         unseen = np.flatnonzero(~survey.visible.any(axis=0))
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is not visible from any station")
-        adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
+        adjustment = Adjustment.from_plan(survey.recording(built), survey.state(built), built)
         if adjustment.undetermined_targets:
             raise NetworkError(f"the ranges do not determine target {adjustment.undetermined_targets[0]}")
         return cls(survey, adjustment)
@@ -83,13 +87,13 @@ class LayoutInformation:
         return np.sqrt(np.diag(self.instrument_covariance))
 
     @cached_property
-    def undetermined(self) -> list[Direction]:
+    def undetermined(self) -> list[ParameterCombination]:
         """Undetermined combinations of parameters (gain below one half), the least determined first."""
-        return undetermined(self.instrument_covariance, self.prior_sigma)
+        return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
     def cures(self) -> list[str]:
         """Sentences on the measurement that would determine each undetermined combination."""
-        return determining(self.adjustment, self.construction, [self.undetermined])[0]
+        return determining_sentences(self.adjustment, self.construction, [self.undetermined])[0]
 
     @cached_property
     def _inner(self) -> Adjustment:
@@ -99,7 +103,7 @@ class LayoutInformation:
     @property
     def pose_covariance(self) -> Floats:
         """Covariance of translation [m] and rotation [rad] of each station, (S, 6, 6), datum as `target_covariance`."""
-        return self._inner.pose_covariance + air_covariance(self._inner, self._inner.problem.unknowns.pose)
+        return self._inner.pose_covariance + air_covariance(self._inner, self._inner.problem.unknowns.pose_columns)
 
     @cached_property
     def target_covariance(self) -> Floats:
@@ -107,7 +111,7 @@ class LayoutInformation:
 
         The datum is the mean of all targets (inner constraints).
         """
-        return self._inner.target_covariance + air_covariance(self._inner, self._inner.problem.unknowns.target)
+        return self._inner.target_covariance + air_covariance(self._inner, self._inner.problem.unknowns.target_columns)
 
     @cached_property
     def target_sigma(self) -> Floats:
@@ -232,22 +236,22 @@ def _ways(information: LayoutInformation, unmodelled: Sequence[Effect]) -> tuple
     adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
-    count, lengths, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
+    count, lengths, params = int(problem.used_readings.sum()), len(problem.gauge_rows), len(information.prior_sigma)
     extra = problem.model.n_extra_parameters
-    priors = design.shape[0] - problem.free.shape[1] - params - extra
+    priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
     mean = _means(information)
     _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.n_parameters))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
-    places = np.concatenate([problem.unknowns.instrument[0], problem.unknowns.extra])
-    columns = np.eye(problem.unknowns.size)[:, places]
-    answer = adjustment.factor.covariance_columns(columns).T @ design.T
+    places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
+    columns = np.eye(problem.unknowns.n_columns)[:, places]
+    answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
     by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], extra)
     errors = np.zeros((design.shape[0], 0))
     if unmodelled:
-        space = ResidualSpace.of(adjustment)
-        errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
-    used = np.flatnonzero(problem.use.ravel())
+        space = ResidualSpace.from_adjustment(adjustment)
+        errors = np.hstack([space.whitened_signature(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
+    used = np.flatnonzero(problem.used_readings.ravel())
     columns_used = np.r_[0 : count + lengths, priors : priors + params + extra]
     before = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
     before[:, :count] = noise[:, used]

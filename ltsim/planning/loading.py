@@ -22,9 +22,9 @@ from ltsim.recordings.settings import checked, read_toml
 from ltsim.scene.floor import areas_and_keep_outs, grid_over, grid_step, may_stand
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
+from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, validate_scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
-from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
+from ltsim.simulation.workshop import make_obstacles, make_sight_limits, planned_layout
 
 TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
@@ -64,7 +64,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         raise SetupError(f"{shown(name)}: there is no such file, and no built-in plan; did you mean {near}?")
     with as_setup_error():
         data = read_toml(path, "plan")
-        if data.get("format") == FORMAT:
+        if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
         made = checked(data, PlanFile, "plan", path)
     made = made.model_copy(update=_given(made, path))
@@ -191,13 +191,13 @@ def _point(table: Points, i: int, path: Path) -> Point:
 
 def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
     """Scenario from the tables and points of a plan file; raises SetupError."""
-    table: dict[str, Any] = {"format": FORMAT, "title": made.title}
+    table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": made.title}
     table |= {name: data[name] for name in TABLES if name in data}
     table["work"] = {"order": "as-listed", **data.get("work", {})}
     wide, deep, _ = made.workshop.size_mm if made.workshop else (0.0, 0.0, 0.0)
     table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEIGHT_MM[0]], "yaw_deg": 0.0}}
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
-    scenario = scenario_from(table, file)
+    scenario = validate_scenario(table, file)
     _check_size(points, scenario, file)
     count = made.stations.count or INITIAL_STATIONS
     places = _initial_places(made, scenario, count)
@@ -240,12 +240,12 @@ def _initial_places(made: PlanFile, scenario: Scenario, count: int) -> Floats:
     """Initial places (count, 3) [m], one after the other, at which most targets with few sights are visible."""
     heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(made.floor, scenario.workshop.size_mm, heights)
-    obstacles, points = obstacles_of(scenario), planned(scenario).points
+    obstacles, points = make_obstacles(scenario), planned_layout(scenario).target_points
     grid = np.concatenate([grid_over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
     grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise SetupError("the floor has no place for a tripod; enlarge it, move obstacles, or give a smaller grid_mm")
-    visible = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
+    visible = visibility(grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
     useful = visible.sum(axis=1) >= MIN_TARGETS
     if not useful.any():
         raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import Progress, quiet
+from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
@@ -41,10 +41,10 @@ STOPPED = "the search was stopped before it found a layout; let it run longer"
 class Follower:
     """Callbacks for the progress of a search."""
 
-    progress: Progress = quiet
-    say: Callable[[str], None] = quiet
+    progress: ProgressCallback = no_progress
+    say: Callable[[str], None] = no_progress
     """Callback for sentences on the best layout so far."""
-    keep: Callable[[Survey], None] = quiet
+    keep: Callable[[Survey], None] = no_progress
     """Callback for the best layout so far."""
 
 

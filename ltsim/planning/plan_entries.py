@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from pydantic import Field
 
-from ltsim.calibration.combinations import Combination
+from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning.objective import TARGETS
 from ltsim.planning.plan_change import in_degrees, in_millimetres
@@ -207,7 +207,7 @@ class LayoutEntry(WorkEntry):
     """Reflectors of the mesh."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
     """Instrument parameters with their expected precision."""
-    undetermined: tuple[Combination, ...] = ()
+    undetermined: tuple[UndeterminedEntry, ...] = ()
     """Undetermined combinations of instrument parameters."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """Expected improvement, by the paper's criteria."""
@@ -225,7 +225,7 @@ class LayoutEntry(WorkEntry):
             reflectors=ReflectorEntry.of(layout, check),
             parameters=PlannedParameterEntry.of(information),
             undetermined=tuple(
-                Combination(combination=d.coefficients(names), gain=d.gain, cure=cure)
+                UndeterminedEntry(combination=d.coefficients(names), gain=d.gain, cure=cure)
                 for d, cure in zip(information.undetermined, information.cures(), strict=True)
             ),
             expected_improvement=None if layout.expected is None else ImprovementEntry.of(layout.expected),
@@ -321,12 +321,12 @@ class DetectableSize(Entry):
             effect=row.effect,
             parameter=row.parameter,
             unit=row.unit,
-            best=row.best / factor,
-            typical=row.typical / factor,
-            worst=row.worst / factor,
+            best=row.best_size / factor,
+            typical=row.median_size / factor,
+            worst=row.worst_size / factor,
             worst_at=row.worst_place,
             plausible=row.prior_sigma / factor,
-            visible=row.visible,
+            visible=row.visible_fraction,
         )
 
 

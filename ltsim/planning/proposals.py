@@ -5,8 +5,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
-from ltsim.adjustment.remedies.next_measurement import Proposal, RankedProposals
-from ltsim.adjustment.remedies.remedy import listed
+from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, RankedProposals
+from ltsim.adjustment.remedies.remedy import list_text
 from ltsim.core.results import Column, Table, columns_of, texts
 from ltsim.physics.effects import title_of
 from ltsim.planning.plan_change import in_degrees, in_millimetres
@@ -43,19 +43,19 @@ class ProposalEntry(Entry):
     """Direction of azimuth zero at a new set-up; null for other measurements."""
 
     @classmethod
-    def of(cls, proposal: Proposal) -> Self:
+    def of(cls, proposal: MeasurementProposal) -> Self:
         """Entry of a proposal of `next_measurement`."""
-        p, there = proposal, proposal.remedy.set_up
+        p, there = proposal, proposal.remedy.added_setup_on_plan
         return cls(
-            do=p.remedy.words,
+            do=p.remedy.instruction,
             kind=p.remedy.kind,
-            minutes=round(p.remedy.seconds / 60, 2),
-            sharper=p.sharper,
-            serves=p.serves,
-            serves_factor=p.serves_factor,
-            evidence=p.evidence,
-            distinguishes=p.distinguished,
-            decides=p.decides,
+            minutes=round(p.remedy.duration / 60, 2),
+            sharper=p.sigma_ratio,
+            serves=p.most_improved_parameter,
+            serves_factor=p.most_improved_ratio,
+            evidence=p.expected_chi2,
+            distinguishes=p.distinguished_explanations,
+            decides=p.distinguishes_all,
             position_mm=in_millimetres(there[0]) if there else None,
             yaw_deg=in_degrees(there[1]) if there else None,
         )
@@ -100,14 +100,14 @@ class NextMeasurement(ResultFile):
         """Result with the proposals for a recording."""
         return cls(
             recording=source,
-            between=ranked.between,
-            evidence_now=ranked.evidence_now,
-            advice=ranked.advice,
+            between=ranked.compared_explanations,
+            evidence_now=ranked.present_chi2,
+            advice=ranked.advice_sentence,
             proposals=tuple(ProposalEntry.of(proposal) for proposal in ranked.proposals),
         )
 
     def _lines(self) -> list[str]:
-        question = f" between {listed([title_of(name) for name in self.between])}" if self.between else ""
+        question = f" between {list_text([title_of(name) for name in self.between])}" if self.between else ""
         return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

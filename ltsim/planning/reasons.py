@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ltsim.adjustment.unmodelled import counted_air, longest_sight
+from ltsim.adjustment.unmodelled import longest_range, relevant_air
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE, MILLIMETRE
@@ -111,10 +111,10 @@ def _came_of(tried: Sequence[StationCountResult], least: int) -> list[str]:
 def _air(plan: PlannedNetwork) -> list[str]:
     """Sentence on the uncertainty of the air that the results include."""
     adjustment = plan.chosen.information.adjustment
-    air = counted_air(adjustment)
+    air = relevant_air(adjustment)
     if air is None:
         return []
-    words = air_uncertainty_text(air, longest_sight(adjustment))
+    words = air_uncertainty_text(air, longest_range(adjustment))
     return [f"All point errors include the {words}; change it as [air] of the plan."]
 
 

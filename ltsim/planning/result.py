@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import PrivateAttr
 
-from ltsim.adjustment.remedies.detectability import detectability
+from ltsim.adjustment.remedies.detectability import catalogue_detectability
 from ltsim.core.arguments import source_path
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table
@@ -22,7 +22,7 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.tolerances import percent
 from ltsim.recordings.result_file import OptionalFloat, ResultFile, read_result, write_result
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
-from ltsim.simulation.workshop import bodies_of
+from ltsim.simulation.workshop import placed_obstacles
 
 FRAME = (
     "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, counter-clockwise from x"
@@ -83,7 +83,7 @@ class Plan(ResultFile, LayoutEntry):
     def of(cls, network: PlannedNetwork) -> Self:
         """Result of a planned network."""
         sentences, few, judged = reasons(network), fewest(network), network.verdict
-        report = detectability(network.chosen.information.adjustment, CATALOGUE)
+        report = catalogue_detectability(network.chosen.information.adjustment, CATALOGUE)
         made = cls.of_layout(
             network.chosen,
             network.check,
@@ -97,15 +97,15 @@ class Plan(ResultFile, LayoutEntry):
             reflector_changes=network.changes.reported,
             changes_tried=network.changes.summary,
             starts=network.spread,
-            bodies=tuple(body.words for body in bodies_of(network.scenario)),
+            bodies=tuple(body.description for body in placed_obstacles(network.scenario)),
             reached=None if judged is None else judged.reached,
             tolerances_met=None if network.check is None else network.check.good,
             losses=tuple(LossEntry.of(loss) for loss in network.losses),
             settings=PlanFile.model_validate(network.file.model_dump(mode="json")),  # all of it goes to the file
             seed=network.file.search.seed,
             detectable=tuple(DetectableSize.of(row) for row in report.table()),
-            confusable=tuple(ConfusablePair.of(pair) for pair in report.confusable()),
-            silent=report.silent,
+            confusable=tuple(ConfusablePair.of(pair) for pair in report.confusable_pairs()),
+            silent=report.undetectable_effects,
         )
         made._network = network
         return made

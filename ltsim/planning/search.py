@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import quiet
+from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
@@ -53,9 +53,9 @@ class LayoutSearcher:
     yaws: int = 6
     heights: int = 2
     """Number of yaws and of heights that are tried at each place of the grid."""
-    tell: Callable[[float], None] = quiet
+    tell: Callable[[float], None] = no_progress
     """Callback for the finished fraction of a start."""
-    keep: Callable[[PlannedLayout], None] = quiet
+    keep: Callable[[PlannedLayout], None] = no_progress
     """Callback for each better layout."""
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from time import monotonic
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import quiet
+from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.parallel import parallel
@@ -61,7 +61,10 @@ class PlanningProblem:
         return site_of(self.file, self.scenario, stations=task.stations, faces=task.faces)
 
     def searcher(
-        self, site: SearchSpace, tell: Callable[[float], None] = quiet, keep: Callable[[PlannedLayout], None] = quiet
+        self,
+        site: SearchSpace,
+        tell: Callable[[float], None] = no_progress,
+        keep: Callable[[PlannedLayout], None] = no_progress,
     ) -> LayoutSearcher:
         """Search in a search space for the file's objective."""
         settings, objective = self.file.search, objective_of(self.file, site.survey)
@@ -121,8 +124,8 @@ def _task(
     problem: PlanningProblem,
     task: SearchTask,
     number: int,
-    tell: Callable[[float], None] = quiet,
-    keep: Callable[[PlannedLayout], None] = quiet,
+    tell: Callable[[float], None] = no_progress,
+    keep: Callable[[PlannedLayout], None] = no_progress,
 ) -> tuple[int, Layout | None]:
     """Layout of one start; None if the rules permit none, or if ranges from too few stations determine none."""
     try:
@@ -140,8 +143,8 @@ def _task_of_worker(problem: PlanningProblem, task: SearchTask, number: int) -> 
 def search_from_start(
     problem: PlanningProblem,
     task: SearchTask,
-    tell: Callable[[float], None] = quiet,
-    keep: Callable[[PlannedLayout], None] = quiet,
+    tell: Callable[[float], None] = no_progress,
+    keep: Callable[[PlannedLayout], None] = no_progress,
 ) -> Layout:
     """Layout of a start: search of stations, of reflectors if these are movable, and of stations again."""
     site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
@@ -154,7 +157,7 @@ def search_from_start(
         survey = choose_reflectors(site, survey, stays, searcher.objective, problem.built)
         stays = np.arange(len(survey.points)) < stays.sum()
         site = site.replace(survey=survey, aimed=np.full(len(survey.points), bool(site.aimed.any())))
-        layout = replace(searcher, site=site, keep=quiet).from_start(seed, 0)
+        layout = replace(searcher, site=site, keep=no_progress).from_start(seed, 0)
         survey = _moved(site, layout.position, layout.yaw)
     return layout.value, survey
 

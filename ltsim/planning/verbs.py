@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.remedies.next_measurement import Progress, next_measurement as ranked, quiet
+from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
 from ltsim.core.arguments import MOVE_FORM, check_bounds, check_mapping
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, option, unknown_name
@@ -38,7 +38,7 @@ def plan(
     starts: int | None = None,
     seed: int | None = None,
     jobs: int = 1,
-    progress: Progress = quiet,
+    progress: ProgressCallback = no_progress,
     follower: Follower | None = None,
     move: Mapping[str, Sequence[float]] | None = None,
 ) -> Plan:
@@ -90,7 +90,7 @@ def next_measurement(
     between: Sequence[str] = (),
     with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
-    progress: Progress = quiet,
+    progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
     """Ranking of additional measurements after a recording.
 
@@ -123,7 +123,7 @@ def next_measurement(
     """
     measured = recording_of(recording)
     made = ranked(
-        measured, between=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
+        measured, explanations=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
     )
     return NextMeasurement.of(made, SourceEntry.of(measured))
 

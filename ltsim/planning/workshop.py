@@ -23,7 +23,14 @@ from ltsim.scene.meshes import nest_places, walls
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
-from ltsim.simulation.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
+from ltsim.simulation.workshop import (
+    WorkshopLayout,
+    make_obstacles,
+    make_sight_limits,
+    make_visibility,
+    placed_obstacles,
+    planned_layout,
+)
 
 MAX_TILT_DEFICIT = 1e-3
 """Largest cosine deficit of an instrument's axis that a plan of upright stations neglects (2.6 deg)."""
@@ -43,19 +50,21 @@ def survey_of(scenario: Scenario) -> Survey:
         raise SetupError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
     if scenario.instrument.observables not in (OBSERVABLES, RANGES):
         raise SetupError("instrument.observables: a plan needs ranges and both angles, or ranges only")
-    layout, work = planned(scenario), scenario.work
-    lean = 1.0 - layout.rotation[:, 2, 2]
+    layout, work = planned_layout(scenario), scenario.work
+    lean = 1.0 - layout.station_rotations[:, 2, 2]
     if lean.max() > MAX_TILT_DEFICIT:
-        raise SetupError(f"station {layout.stations[int(lean.argmax())]} is tilted; a plan needs vertical stations")
+        raise SetupError(
+            f"station {layout.station_names[int(lean.argmax())]} is tilted; a plan needs vertical stations"
+        )
     recording, _ = simulate(scenario.model_copy(update={"placing": EXACT}), 0)
     return Survey(
         setup=recording.setup,
-        station_names=layout.stations,
-        target_names=layout.targets,
-        position=layout.position,
-        yaw=np.arctan2(layout.rotation[:, 1, 0], layout.rotation[:, 0, 0]),
-        points=layout.points,
-        visible=visibility_of(scenario, layout).visible,
+        station_names=layout.station_names,
+        target_names=layout.target_names,
+        position=layout.station_positions,
+        yaw=np.arctan2(layout.station_rotations[:, 1, 0], layout.station_rotations[:, 0, 0]),
+        points=layout.target_points,
+        visible=make_visibility(scenario, layout).visible,
         faces=tuple(range(1, work.faces + 1)),
         repeats=work.repeats,
         seconds_per_pointing=work.seconds_per_pointing,
@@ -66,19 +75,19 @@ def survey_of(scenario: Scenario) -> Survey:
     )
 
 
-def _rank(recording: Recording, layout: Layout) -> Ints:
+def _rank(recording: Recording, layout: WorkshopLayout) -> Ints:
     """Rank (S, T) of each target in each station's first round; invisible targets are last."""
-    count = len(layout.targets)
-    first = np.full((len(layout.stations), count), np.inf)
-    target = np.array([layout.targets.index(name) for name in recording.targets])[recording.target]
-    station = np.array([layout.stations.index(name) for name in recording.stations])[recording.station]
+    count = len(layout.target_names)
+    first = np.full((len(layout.station_names), count), np.inf)
+    target = np.array([layout.target_names.index(name) for name in recording.targets])[recording.target]
+    station = np.array([layout.station_names.index(name) for name in recording.stations])[recording.station]
     np.minimum.at(first, (station, target), recording.time)
     return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
 
 
 def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> SearchSpace:
     """Search space of a plan with a number of stations and a measuring procedure."""
-    survey, layout, mm, air = survey_of(scenario), planned(scenario), MILLIMETRE, scenario.air or Air()
+    survey, layout, mm, air = survey_of(scenario), planned_layout(scenario), MILLIMETRE, scenario.air or Air()
     levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
     areas, keep_outs = areas_and_keep_outs(
         plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max()))
@@ -104,10 +113,10 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         ),
         areas=areas,
         keep_outs=keep_outs,
-        limits=sight_limits(scenario, scenario.instrument),
+        limits=make_sight_limits(scenario, scenario.instrument),
         position_tolerance=plan.stations.position_tolerance_mm * mm,
-        aimed=~layout.reaimed,
-        obstacles=obstacles_of(scenario),
+        aimed=~layout.is_reaimed,
+        obstacles=make_obstacles(scenario),
         spacing=plan.stations.spacing_mm * mm,
         min_sights=least,
         fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
@@ -181,9 +190,9 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     if body == WALLS:
         triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
-        triangles = np.concatenate([part.triangles for part in bodies_of(scenario) if part.name == body])
+        triangles = np.concatenate([part.triangles for part in placed_obstacles(scenario) if part.name == body])
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = nest_places(triangles, standoff, spacing, obstacles_of(scenario), closed=body != WALLS)
+    places = nest_places(triangles, standoff, spacing, make_obstacles(scenario), closed=body != WALLS)
     return np.asarray(np.round(places / MILLIMETRE))
 
 

@@ -41,7 +41,7 @@ from ltsim.reports.sections.diagnosis import finding_drawing
 from ltsim.reports.sections.plain import budget_of
 from ltsim.reports.verbs import View
 from ltsim.reports.workshop import from_recording, from_scenario
-from ltsim.simulation.inject import InjectionCurve
+from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 
 MAX_PROPOSALS = 12
@@ -69,7 +69,7 @@ figure_of.register(Uncertainty, budget_of)
 
 @figure_of.register
 def _(result: Calibration) -> Figure:
-    if result.names:
+    if result.instrument_parameter_names:
         return parameter_figure(result.parameters)
     if result.adjustment is None:
         raise ModelError("a network read from a file has no figure; lt.report writes a page about it")
@@ -96,9 +96,9 @@ def _(result: Diagnosis) -> Figure:
 
 @figure_of.register
 def _(result: History) -> Figure:
-    if not result.determined:
+    if not result.determined_parameters:
         raise ModelError("no parameter of these calibrations is determined; there is no figure")
-    return history_figure(result.labels, result.determined)
+    return history_figure(result.labels, result.determined_parameters)
 
 
 @figure_of.register
@@ -121,7 +121,7 @@ def _(result: BenchFile) -> Figure:
 
 
 @figure_of.register
-def _(result: InjectionCurve) -> Figure:
+def _(result: DetectionCurve) -> Figure:
     """Figure of a detection curve: fractions of detected, located and named injections, with 95 % intervals."""
     lines = {
         name: [(row[name] / row["injections"], row[f"{name}_low"], row[f"{name}_high"]) for row in result.rows]
@@ -155,8 +155,11 @@ def _(result: NextMeasurement) -> Figure:
 @figure_of.register
 def _(result: Judged) -> Figure:
     example = next(iter(result.errors.values()))
-    rows = {name: (error.calibrated / MICROMETRE,) * 3 for name, error in result.errors.items()}
-    ends = {"as read": [example.raw / MICROMETRE], "by the true parameters": [example.true_parameters / MICROMETRE]}
+    rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors.items()}
+    ends = {
+        "as read": [example.raw_rms / MICROMETRE],
+        "by the true parameters": [example.true_parameters_rms / MICROMETRE],
+    }
     return values_figure(rows, "error of a new point [um]", marks=ends)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.calibration.schema import RESIDUALS
+from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.results import Table
@@ -102,7 +102,7 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
-        recording, use = adjustment.recording, adjustment.problem.use
+        recording, use = adjustment.recording, adjustment.problem.used_readings
         rows, observable = np.nonzero(use)
         unit = np.array([FACTOR[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
         return cls(
@@ -111,7 +111,7 @@ class Residuals:
             target=np.array(recording.targets, dtype=np.str_)[recording.target[rows]],
             observable=observable,
             residual=(adjustment.residuals / unit)[use],
-            w=adjustment.w[use],
+            w=adjustment.normalised_residuals[use],
             redundancy=adjustment.redundancy[use],
             covariates=_geometry(adjustment, rows),
         )
@@ -119,7 +119,7 @@ class Residuals:
     @classmethod
     def read(cls, file: Path) -> Residuals:
         """Residuals from a `residuals.csv`; raises RecordError if a column is missing or a field is not a number."""
-        return cls.from_table(RESIDUALS.parsed(read_text(file), file), file)
+        return cls.from_table(RESIDUALS_TABLE.parsed(read_text(file), file), file)
 
     def with_covariates(self, other: Residuals | None) -> Residuals:
         """The residuals with the covariates of the same observations in `other`, if given."""

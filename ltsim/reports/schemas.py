@@ -12,12 +12,12 @@ from pydantic import BaseModel
 
 from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
-from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
-from ltsim.adjustment.evaluation.criteria import NOMINAL, Criteria
-from ltsim.adjustment.fieldcheck.result import TWO_FACE, Check
+from ltsim.adjustment.evaluation.bench import BENCH_TABLE, BenchFile
+from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE, Criteria
+from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE, Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.schema import RESIDUALS, TARGETS
+from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_trials import TRIALS
 from ltsim.campaigns.schema import ROWS, ManifestFile, summary_table
@@ -67,14 +67,14 @@ FILES: dict[str, type[BaseModel]] = {
 """Models of all files, including those that users write, by name."""
 
 TABLES: dict[str, tuple[Table, ...]] = {
-    Calibration.FILE: (TARGETS, RESIDUALS),
-    BenchFile.FILE: (BENCH,),
-    Truth.FILE: (NOMINAL,),
-    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
+    Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
+    BenchFile.FILE: (BENCH_TABLE,),
+    Truth.FILE: (NOMINAL_TABLE,),
+    Diagnosis.FILE: (diagnosis.TARGETS, RESIDUALS_TABLE, diagnosis.BEFORE),
     Plan.FILE: plan_tables.TABLES,
     NextMeasurement.FILE: (NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
-    Check.FILE: (TWO_FACE,),
+    Check.FILE: (TWO_FACE_TABLE,),
     comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.Uncertainty.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),

@@ -129,10 +129,10 @@ def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
         )
         recording, truth = lt.simulate(scenario, seed=1)
         found = lt.adjust(recording)
-        places = dict(zip(found.targets, found.points, strict=True))
+        places = dict(zip(found.target_names, found.target_points, strict=True))
         told = np.array([places[name] for name in truth.target_names])
         gaps = np.linalg.norm(told[:, None] - told[None], axis=2) - np.linalg.norm(
-            truth.points[:, None] - truth.points[None], axis=2
+            truth.target_points[:, None] - truth.target_points[None], axis=2
         )
         sizes.append(float(np.sqrt(np.mean(gaps**2))))
     assert sizes[1] > 5 * MICROMETRE

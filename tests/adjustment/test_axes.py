@@ -52,7 +52,7 @@ def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
     """By the 3-2-1 rule, in covariance too: what defines the axes is not uncertain in them."""
     named = in_axes_of_three(recording, "T01", "T04", "T20")
     for found in (lt.adjust(named), adjust(named)):
-        points = found.points if hasattr(found, "points") else found.state.target_points
+        points = found.target_points if hasattr(found, "target_points") else found.state.target_points
         a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
         np.testing.assert_allclose([*a, b[1], b[2], c[2]], 0.0, atol=1e-9)
         assert b[0] > 0 < c[1]
@@ -69,7 +69,7 @@ def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording:
     assert fine.axes is not None
     for one, noise in ((rough, 3.0), (fine, 0.3)):  # the noise is a sine: its rms is 0.7 of its height
         assert np.array(one.axes.sigma_position_mm) == pytest.approx(noise / np.sqrt(2 * 12), rel=0.4)
-    lever = np.linalg.norm(np.ptp(rough.points[:12], axis=0)) / 2
+    lever = np.linalg.norm(np.ptp(rough.target_points[:12], axis=0)) / 2
     turn = 2.1 / np.sqrt(12) / (1e3 * lever) / ARCSECOND
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) > 0.5 * turn)
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) < 6 * turn)

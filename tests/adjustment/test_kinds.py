@@ -53,8 +53,8 @@ def distances(points: np.ndarray) -> np.ndarray:
 
 
 def assert_same_shape(found, points: np.ndarray, atol: float = EXACT) -> None:
-    assert found.solution.converged, found.solution.status
-    np.testing.assert_allclose(distances(found.state.points), distances(points), atol=atol)
+    assert found.solution.has_converged, found.solution.status
+    np.testing.assert_allclose(distances(found.state.target_points), distances(points), atol=atol)
 
 
 # --- readings that are missing ------------------------------------------------------------------------------------
@@ -63,7 +63,7 @@ def assert_same_shape(found, points: np.ndarray, atol: float = EXACT) -> None:
 def test_targets_without_any_range_are_intersected():
     recording, truth = network(faces=2)
     found = adjust(blanked(recording, np.isin(recording.target, [3, 17, 20]), [0]))
-    assert not found.gross.any()
+    assert not found.is_gross_pointing.any()
     assert_same_shape(found, truth.state.target_points)
 
 
@@ -74,7 +74,7 @@ def test_a_station_without_ranges_is_resected_and_one_without_angles_too():
     found = adjust(recording)
     assert_same_shape(found, truth.state.target_points)
     # Three turns of the station that reads ranges alone are no unknowns.
-    assert found.dof == found.problem.use.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
+    assert found.dof == found.problem.used_readings.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
     there = np.linalg.norm(found.state.station_positions[3] - found.state.station_positions[0])
     assert there == pytest.approx(
         np.linalg.norm(truth.state.station_positions[3] - truth.state.station_positions[0]), abs=EXACT
@@ -88,14 +88,14 @@ def test_azimuths_alone_and_elevations_alone_add_to_the_others():
     found = adjust(recording)
     assert_same_shape(found, truth.state.target_points)
     # The height of the one and the yaw of the other are no unknowns.
-    assert found.dof == found.problem.use.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
+    assert found.dof == found.problem.used_readings.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
 
 
 def test_beams_alone_take_scale_and_frame_from_known_points():
     recording, truth = network()
     recording = with_setup(blanked(recording, np.full(len(recording), True), [0]), gauge=None)
     found = adjust(known(recording, truth.state.target_points, [0, 9, 14, 22]))
-    assert found.problem.free.shape[1] == 0
+    assert found.problem.free_motions.shape[1] == 0
     np.testing.assert_allclose(found.state.target_points, truth.state.target_points, atol=1e-7)
     with pytest.raises(NetworkError, match="where ranges or angles are missing"):
         adjust(recording)
@@ -157,13 +157,13 @@ def test_a_target_left_open_by_readings_out_of_use_is_left_out():
     use = np.ones(recording.readings.shape, dtype=bool)
     rows = np.flatnonzero(recording.target == 5)
     use[rows] = [[True, False, True], [False, False, False]]
-    found = adjust(recording, misalignment_construction(), use=use)
+    found = adjust(recording, misalignment_construction(), reading_mask=use)
     assert found.undetermined_targets == ("T06",)
-    assert found.rejected[rows].all()
+    assert found.is_rejected[rows].all()
     rest = adjust(recording.select(recording.target != 5), misalignment_construction())
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
     use[rows[1], 1] = True
-    assert adjust(recording, misalignment_construction(), use=use).undetermined_targets == ()
+    assert adjust(recording, misalignment_construction(), reading_mask=use).undetermined_targets == ()
 
 
 def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustment():
@@ -177,7 +177,7 @@ def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustmen
     found = adjust(recording.with_readings(readings), misalignment_construction(), robust=True)
     found.solution.require_success()
     assert found.undetermined_targets == ("T06",)
-    assert found.rejected.sum() == 4
+    assert found.is_rejected.sum() == 4
     rest = adjust(recording.select(recording.target != 5), misalignment_construction())
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
 
@@ -198,9 +198,9 @@ def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_co
     readings[rows, 0] += [5e-5, -5e-5]
     found = adjust(recording.with_readings(readings), robust=True)
     assert found.undetermined_targets == ("T06",)
-    assert set(np.argwhere(found.rejected)[:, 0]) == set(rows)
+    assert set(np.argwhere(found.is_rejected)[:, 0]) == set(rows)
     assert np.abs(found.residuals[rows, 0]).max() < 2e-4
-    assert not adjust(recording, robust=True).rejected.any()
+    assert not adjust(recording, robust=True).is_rejected.any()
 
 
 def gauge_without(recording, name):
@@ -234,7 +234,7 @@ def test_levels_that_follow_a_curved_surface():
     )
     stations = {n: Station(levelled=True, vertical=tuple(v)) for n, v in zip(recording.stations, lines, strict=True)}
     found = adjust(with_setup(recording, stations=stations))
-    assert found.problem.free.shape[1] == 4
+    assert found.problem.free_motions.shape[1] == 4
     assert found.chi2 < 1e-3
     assert adjust(levelled(recording)).chi2 > 1e4
 
@@ -245,8 +245,8 @@ def test_known_points_define_the_frame_along_the_axes_that_are_known():
     made = known(made, truth.state.target_points, [5], known_axes="y")
     made = known(made, truth.state.target_points, [7, 12], known_axes="z")
     found = adjust(made, misalignment_construction())
-    assert found.problem.control.count == 6
-    assert found.problem.free.shape[1] == 0
+    assert found.problem.control_rows.n_coordinates == 6
+    assert found.problem.free_motions.shape[1] == 0
     assert np.abs(found.state.target_points - truth.state.target_points).max() < 3e-4
     np.testing.assert_allclose(found.state.target_points[[7, 12], 2], truth.state.target_points[[7, 12], 2], atol=3e-5)
 
@@ -259,7 +259,7 @@ def test_one_known_point_and_levels_leave_the_yaw_to_the_datum():
     name = made.targets[12]
     targets[name] = targets[name].model_copy(update={"approximate_mm": place, "datum": True})
     found = adjust(with_setup(made, targets=targets), misalignment_construction())
-    assert found.problem.free.shape[1] == 1
+    assert found.problem.free_motions.shape[1] == 1
     assert np.abs(found.state.target_points - truth.state.target_points).max() < 1e-3
     arm, gap = (
         truth.state.target_points[12] - truth.state.target_points[0],
@@ -322,7 +322,7 @@ def test_instruments_on_marks_share_the_place_of_the_target():
     recording, marks = total_stations()
     found = adjust(recording)
     assert_same_shape(found, marks)
-    assert found.problem.unknowns.size == 3 * 9 + 3 * 7
+    assert found.problem.unknowns.n_columns == 3 * 9 + 3 * 7
     assert found.dof == 3 * len(recording) + 2 * 7 - 3 * 9 - 3 * 7 + 4
     height = 1e-3 * recording.station_setup("M0").instrument_height_mm
     np.testing.assert_allclose(
@@ -361,8 +361,8 @@ def test_marks_that_are_no_targets_are_shared_and_may_be_known():
     assert "M0" not in keep.targets
     place = Target(known_mm=tuple(1e3 * marks[0]), known_sigma_mm=0.01)
     found = adjust(with_setup(keep, targets={**keep.setup.targets, "M0": place}))
-    assert found.problem.free.shape[1] == 1
-    assert found.problem.unknowns.size == 3 * 9 + 3 * 7
+    assert found.problem.free_motions.shape[1] == 1
+    assert found.problem.unknowns.n_columns == 3 * 9 + 3 * 7
     height = 1e-3 * recording.station_setup("M0").instrument_height_mm
     np.testing.assert_allclose(found.state.station_positions[0], marks[0] + [0, 0, height], atol=1e-8)
     assert_same_shape(found, marks[1:])
@@ -383,7 +383,7 @@ def test_known_points_may_have_a_full_covariance():
             entries = tuple(matrix[np.triu_indices(3)])
             targets[recording.targets[i]] = Target(known_mm=place, known_covariance_mm2=entries)
         found.append(adjust(with_setup(recording, targets=targets)))
-        assert found[-1].solution.converged
+        assert found[-1].solution.has_converged
     assert found[1].chi2 == pytest.approx(found[0].chi2, rel=1e-9)
     np.testing.assert_allclose(found[1].state.target_points, found[0].state.target_points @ about_z(0.7).T, atol=1e-9)
     gap = found[0].state.target_points[places[0]] - shifted[places[0]]
@@ -404,9 +404,9 @@ def test_the_start_is_good_enough_with_the_noise_of_total_stations():
         recording, marks = total_stations(seed)
         recording = blanked(recording, stream(seed, "rows").uniform(size=len(recording)) < 0.5, [0])
         found = adjust(recording)
-        assert found.solution.converged
+        assert found.solution.has_converged
         assert found.p_value > 1e-5
-        assert not found.gross.any()
+        assert not found.is_gross_pointing.any()
         assert_same_shape(found, marks, atol=0.01)
 
 
@@ -446,7 +446,9 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
     np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)
     np.testing.assert_allclose(
-        tied.reduced_covariance[np.ix_(*2 * [tied.problem.unknowns.pose[2]])], tied.pose_covariance[2], rtol=1e-8
+        tied.reduced_covariance[np.ix_(*2 * [tied.problem.unknowns.pose_columns[2]])],
+        tied.pose_covariance[2],
+        rtol=1e-8,
     )
 
 
@@ -488,7 +490,7 @@ def test_any_readings_may_be_missing(kind, seed):
     recording = recording.select(recording.measured.any(axis=1))
     found = adjust(recording)
     assert found.p_value > 1e-5
-    assert not found.gross.any()
+    assert not found.is_gross_pointing.any()
     rough = 0.02 if kind == "marks" else 1e-3
     assert_same_shape(found, points, atol=rough)
 
@@ -510,7 +512,7 @@ def test_a_network_in_plan_needs_no_elevations() -> None:
     setup = recording.setup.model_copy(update={"targets": targets, "stations": stations, "gauge": None})
     kind = {KIND_COLUMN: ("horizontal",) * len(recording)}
     found = adjust(recording.replace(readings=flat, setup=setup, labels={**recording.labels, **kind}))
-    assert found.solution.converged
+    assert found.solution.has_converged
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)
     turn, shift = align(found.state.target_points, points)
     assert np.abs(found.state.target_points @ turn.T + shift - points).max() < 1e-4

@@ -19,7 +19,7 @@ from ltsim.measurands.spec import FORMAT, tasks_from
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 from tests.networks import network
 
 STEEL = {"expansion_per_k": 11.5e-6, "sigma_expansion_per_k": 1e-6}
@@ -86,18 +86,18 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     length = np.array([1.0, 3.0, 5.0])
     shared = (10 * 1e-6) ** 2 + (11.5e-6 * 0.2) ** 2
     covariance = shared * np.outer(length, length) + 1e-6**2 * np.eye(3)
-    np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
-    white = gauge.whitened(np.eye(3))
+    np.testing.assert_allclose(gauge.decorrelated_to_lengths @ gauge.decorrelated_to_lengths.T, covariance, rtol=1e-12)
+    white = gauge.decorrelate(np.eye(3))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(3), atol=1e-12)
-    idle = replace(gauge, idle=np.array([False, True, False]))
+    idle = replace(gauge, is_unweighted=np.array([False, True, False]))
     kept = np.ix_([0, 2], [0, 2])
-    left = idle.whitened(np.eye(3))
+    left = idle.decorrelate(np.eye(3))
     np.testing.assert_allclose((left.T @ left)[kept], np.linalg.inv(covariance[kept]), rtol=1e-12)
     assert not left[:, 1].any()
     found = adjust(recording)
-    rows = as_dense(found.solution.system.design)[int(found.problem.use.sum()) :][:3]
-    columns = found.problem.unknowns.target[gauge.first]
-    along = gauge.directions(found.state.target_points)
+    rows = to_dense(found.solution.system.design)[int(found.problem.used_readings.sum()) :][:3]
+    columns = found.problem.unknowns.target_columns[gauge.first]
+    along = gauge.unit_vectors(found.state.target_points)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
 
 
@@ -105,7 +105,7 @@ def test_lengths_share_a_scale_or_tell_none(measured: Recording) -> None:
     lines = [line("T01", "T02", 2000.0), line("T03", "T04", 1000.0, measured_in_place=True)]
     gauge = GaugeRows.of(with_gauge(measured, *lines, sigma_scale_ppm=20.0))
     covariance = 1e-6**2 * np.eye(2) + np.outer([40e-6, 20e-6], [40e-6, 20e-6])
-    np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
+    np.testing.assert_allclose(gauge.decorrelated_to_lengths @ gauge.decorrelated_to_lengths.T, covariance, rtol=1e-12)
     dof = {scale: adjust(with_gauge(measured, *lines, sigma_scale_ppm=scale)).dof for scale in (None, 20.0, 1000.0)}
     assert dof == {None: dof[None], 20.0: dof[None], 1000.0: dof[None] - 1}  # of two lengths one ratio is left
 
@@ -143,9 +143,9 @@ def test_simulated_certificates_err_as_they_say_and_together() -> None:
     for seed in range(250):
         recording, truth = lt.simulate(scene(**{"work.repeats": 1}), seed=seed)
         gauge = GaugeRows.of(recording)
-        places = truth.points[[truth.target_names.index(name) for name in recording.targets]]
-        gaps.append(gauge.whitened(gauge.length - gauge.predict(places)))
-        spread = gauge.spread
+        places = truth.target_points[[truth.target_names.index(name) for name in recording.targets]]
+        gaps.append(gauge.decorrelate(gauge.length - gauge.predict(places)))
+        spread = gauge.decorrelated_to_lengths
     both = np.array(gaps)
     np.testing.assert_allclose(np.corrcoef(both.T), np.eye(4), atol=0.2)
     np.testing.assert_allclose(both.std(axis=0), 1.0, atol=0.15)
@@ -169,10 +169,10 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
     arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]
     unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)
-    at = adjusted.problem.unknowns.target[names].ravel()
-    pick = np.zeros((adjusted.problem.unknowns.size, 6))
+    at = adjusted.problem.unknowns.target_columns[names].ravel()
+    pick = np.zeros((adjusted.problem.unknowns.n_columns, 6))
     pick[at, np.arange(6)] = 1.0
-    whole = unit @ adjusted.factor.covariance_columns(pick)[at] @ unit
+    whole = unit @ adjusted.factorised_normals.covariance_columns(pick)[at] @ unit
     assert total == pytest.approx(whole, rel=1e-6)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import identified
+from ltsim.adjustment.identification import identify_causes
 from ltsim.campaigns.truth import truth_of
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, SetupError
@@ -27,7 +27,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target
 from ltsim.recordings.transcription_errors import UNIT_ERRORS
-from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
+from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
 from ltsim.simulation.truth import Truth
 
 HERE = Path("reflectors.toml")
@@ -49,14 +49,14 @@ def scenario(**changes: Any) -> Scenario:
         "stations.S3.reflector": "middle",
     }
     keys = {key.replace("__", "."): value for key, value in changes.items()}
-    return changed(load_scenario("paper-workshop"), stated | small | keys, HERE)
+    return change_scenario(load_scenario("paper-workshop"), stated | small | keys, HERE)
 
 
 def controlled(recording: Recording, truth: Truth, known: tuple[str, ...] = CONTROL) -> Recording:
     """The recording with some targets known as they are."""
     targets = dict(recording.setup.targets)
     for name in known:
-        place = tuple((1e3 * truth.points[truth.target_names.index(name)]).tolist())
+        place = tuple((1e3 * truth.target_points[truth.target_names.index(name)]).tolist())
         targets[name] = targets[name].model_copy(update={"known_mm": place, "known_sigma_mm": 0.002})
     return with_setup(recording, targets=targets)
 
@@ -68,7 +68,7 @@ def with_setup(recording: Recording, **changes: Any) -> Recording:
 def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
     """Adjusted less true coordinates (T, 3) [m], and the covariances."""
     found = adjust(recording)
-    return found.state.target_points - truth.points, found.target_covariance
+    return found.state.target_points - truth.target_points, found.target_covariance
 
 
 def test_targets_are_the_centres_of_the_reference_ball() -> None:
@@ -104,8 +104,10 @@ def test_levels_hold_it_where_the_normals_are_vertical() -> None:
     upright = scenario(**up, **levels, smr__nests="re-aimed", gauge__nest_normal=[0, 0, 1])
     recording, truth = lt.simulate(upright, seed=3)
     found = adjust(recording)
-    assert 0.8 < found.sigma0 < 1.2 and not found.gross.any()
-    apart, true = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.target_points, truth.points))
+    assert 0.8 < found.sigma0 < 1.2 and not found.is_gross_pointing.any()
+    apart, true = (
+        np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.target_points, truth.target_points)
+    )
     assert np.abs(apart - true).max() < 80e-6
 
 
@@ -114,8 +116,10 @@ def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> Non
     recording, truth = lt.simulate(scenario(), seed=3)
     model = MeasurementModel(recording, construction)
     draw = stream(1, "reflectors")
-    state = NetworkState(truth.position, truth.rotation, truth.points, np.zeros((1, construction.size)))
-    pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.points.shape))
+    state = NetworkState(
+        truth.station_positions, truth.station_rotations, truth.target_points, np.zeros((1, construction.n_parameters))
+    )
+    pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.target_points.shape))
     there = model.linearised(state)
     first = np.einsum("nij,nj->ni", there.pose_derivatives, pose[recording.station])
     first += np.einsum("nij,nj->ni", there.target_derivatives, points[recording.target])
@@ -155,7 +159,7 @@ def test_a_recording_is_written_and_read_again_with_its_balls(tmp_path: Path) ->
     again = read_recording(tmp_path / "rec")
     assert again.setup == recording.setup and again.labels == recording.labels
     text = scenario_to_toml(scenario())
-    assert scenario_from(tomllib.loads(text), HERE) == scenario()
+    assert validate_scenario(tomllib.loads(text), HERE) == scenario()
 
 
 def without_normal(recording: Recording) -> Recording:
@@ -232,9 +236,9 @@ def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
     readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").written(readings[[row]])
-    selection = identified(controlled(recording.with_readings(readings), truth))
+    selection = identify_causes(controlled(recording.with_readings(readings), truth))
     assert selection is not None
-    (choice,) = selection.choices
+    (choice,) = selection.selected_hypotheses
     assert choice.hypothesis.kind == "unit" and choice.hypothesis.rows == (row + 1,)
     np.testing.assert_allclose(selection.fit.recording.readings, recording.readings, rtol=0, atol=1e-12)
 

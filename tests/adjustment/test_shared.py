@@ -14,7 +14,7 @@ from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.physics.model.nuisances import read_shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.recording import KIND_COLUMN, OBSERVABLES
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import to_dense
 
 
 @pytest.fixture(scope="module")
@@ -33,14 +33,14 @@ def recording() -> Recording:
 
 
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
-    found = adjust(recording, judging=())
+    found = adjust(recording, tested_kinds=())
     (shared,) = read_shared_errors(recording)
     assert shared.reading_changes.shape == (len(recording), len(OBSERVABLES), 2)
     alone = recording.replace(covariates={n: c for n, c in recording.covariates.items() if not n.startswith("shared_")})
-    plain = NetworkProblem.of(MeasurementModel(alone, ideal_construction()))
+    plain = NetworkProblem.from_model(MeasurementModel(alone, ideal_construction()))
     assert found.dof == plain.dof
     system = plain.linearise(replace(found.state, extra_parameters=np.zeros(0)))
-    design, residual, used = as_dense(system.design), system.residual.copy(), plain.use
+    design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.used_readings
     reach = shared.reading_changes[used] / plain.sigma[used][:, None]
     root = np.linalg.cholesky(np.eye(len(reach)) + reach @ reach.T)
     rows = slice(0, len(reach))
@@ -49,7 +49,7 @@ def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     step = spread @ design.T @ residual
     assert np.abs(step / np.sqrt(np.diag(spread))).max() < 1e-3
     assert found.chi2 == pytest.approx(float(residual @ residual), rel=1e-5)
-    at = plain.unknowns.target
+    at = plain.unknowns.target_columns
     np.testing.assert_allclose(found.target_covariance, spread[at[:, :, None], at[:, None, :]], rtol=1e-4, atol=1e-15)
 
 

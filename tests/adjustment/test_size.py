@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.frame import Pairs
+from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
@@ -26,8 +26,8 @@ def test_a_ring_of_210_set_ups_with_all_statistics():
     found = adjust(recording)
     sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
     poses, redundancy = found.pose_covariance, found.redundancy
-    assert found.solution.converged
-    assert not found.gross.any()
+    assert found.solution.has_converged
+    assert not found.is_gross_pointing.any()
     assert 0.001 < found.p_value < 0.999
     assert np.isfinite(sigma).all() and np.isfinite(poses).all()
     assert np.nansum(redundancy) == pytest.approx(found.dof, abs=1e-3)
@@ -87,8 +87,8 @@ def test_memory_follows_the_pointings_and_not_the_square_of_the_set_ups():
     found = adjust(recording)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert found.solution.converged
-    assert not found.gross.any()
+    assert found.solution.has_converged
+    assert not found.is_gross_pointing.any()
     assert 0.001 < found.p_value < 0.999
     assert np.isfinite(found.target_covariance).all()
     assert most < 200e6
@@ -100,19 +100,19 @@ def test_the_list_of_pairs_is_what_a_table_would_be():
         **{n: np.tile(getattr(recording, n), 3) for n in ("station", "target", "face", "repeat", "time")},
         readings=np.concatenate([recording.readings + s for s in (0.0, 1e-3, 5e-3)]),
     )
-    pairs = Pairs.of(twice)
+    pairs = StationTargetPairs.from_recording(twice)
     points = from_polar(twice.readings)
     for s in range(5):
         own = pairs.of_station(s)
-        for target, point in zip(pairs.target[own], pairs.points[own], strict=True):
+        for target, point in zip(pairs.target_indices[own], pairs.local_points[own], strict=True):
             rows = (twice.station == s) & (twice.target == target)
             np.testing.assert_array_equal(point, np.median(points[rows], axis=0))
-    values = pairs.points.copy()
+    values = pairs.local_points.copy()
     values[pairs.of_station(2)] = np.nan
     table = np.full((5, len(recording.targets), 3), np.nan)
-    table[pairs.station, pairs.target] = values
+    table[pairs.station_indices, pairs.target_indices] = values
     which = np.array([3, 11, 25, 30, 59])
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         expected = np.nanmedian(table[:, which], axis=0)
-    np.testing.assert_array_equal(pairs.medians(values, which), expected)
+    np.testing.assert_array_equal(pairs.medians_by_target(values, which), expected)

@@ -38,14 +38,14 @@ def drifting() -> Recording:
 def test_an_effect_is_found_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
     plain, found = lt.calibrate(drifting, advise=False), lt.calibrate(drifting, with_effects=[wanted], advise=False)
     (effect,) = found.effects
-    assert (effect.effect, effect.where, effect.freedom) == ("index-drift", "S3", 1)
+    assert (effect.effect, effect.place_text, effect.n_distinguishable_parameters) == ("index-drift", "S3", 1)
     rate, law = effect.parameters
     assert rate.unit == "urad/h" and law.value == "visit"
     assert isinstance(rate.value, float) and rate.sigma is not None
     assert abs(rate.value - 1e6 * 3600 * RATE) < 4 * rate.sigma < 0.5 * rate.value
     assert effect.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
     assert effect.p_value < 1e-6
-    assert effect.tried == (1 if "law" in wanted else effect.tried)
+    assert effect.n_candidates == (1 if "law" in wanted else effect.n_candidates)
     assert "chi-square falls by" in str(found)
 
 
@@ -64,7 +64,12 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
     )
     found = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
     (law,), (effect,) = found.effects, named.effects
-    assert (law.effect, law.where, law.freedom, law.tried) == ("vertical index ~ station-time", "S3", 1, 1)
+    assert (law.effect, law.place_text, law.n_distinguishable_parameters, law.n_candidates) == (
+        "vertical index ~ station-time",
+        "S3",
+        1,
+        1,
+    )
     (_, swing), rate = law.parameters, effect.parameters[0]
     hours = drifting.time[drifting.station == 2].max() / 3600 - drifting.time[drifting.station == 2].min() / 3600
     assert swing.name == "swing" and swing.unit == "urad" and swing.sigma is not None and rate.sigma is not None
@@ -78,7 +83,7 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
 def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
     words = "vertical index ~ station-time, in its own way at each set-up"
     (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
-    assert (law.effect, law.where, law.freedom) == (words, "", len(drifting.stations))
+    assert (law.effect, law.place_text, law.n_distinguishable_parameters) == (words, "", len(drifting.stations))
     assert law.sentence.startswith(f"{words}: rms ") and ", swing " in law.sentence
 
 
@@ -87,13 +92,13 @@ def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> N
     _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
     swing = next(p for p in curve.parameters if p.name == "swing")
     assert swing.sigma is not None and isinstance(swing.value, float)
-    assert swing.value > 4 * swing.sigma and curve.freedom > 3
+    assert swing.value > 4 * swing.sigma and curve.n_distinguishable_parameters > 3
     assert [p.name for p in moved.parameters] == ["rms", "swing along x", "swing along y", "swing along z"]
 
 
 def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
     unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
-    assert unaimed.effects[0].freedom == 0
+    assert unaimed.effects[0].n_distinguishable_parameters == 0
     assert "it was not estimated" in unaimed.effects[0].sentence
 
 
@@ -174,7 +179,7 @@ def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> N
         parameters=["beam-tilt", "vertical-index"],
         advise=False,
     )
-    assert any(out.row == 4 and out.excluded for out in found.outliers) and found.held.any()
+    assert any(out.row == 4 and out.excluded for out in found.outliers) and found.is_fixed.any()
     told, adjusted = found.effects[0].parameters, found.adjustment
     assert adjusted is not None
     assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra_parameters, rel=1e-3, abs=1e-9)

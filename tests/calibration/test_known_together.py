@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.calibration.evidence import determined
+from ltsim.calibration.evidence import determined_combinations
 from ltsim.cli.main import run
 from ltsim.physics.model.construction import misalignment_construction
 from tests.networks import network
@@ -21,7 +21,7 @@ def test_a_sum_that_is_known_is_told_with_its_deviation() -> None:
     spread = np.eye(3) * 1e-12
     along = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
     spread -= (1e-12 - 1e-16) * np.outer(along, along)
-    (told,) = determined(parameters, truth, spread)
+    (told,) = determined_combinations(parameters, truth, spread)
     assert set(told.combination) == {p.name for p in parameters[:2]}
     np.testing.assert_allclose(list(told.combination.values()), [1.0, 1.0], rtol=1e-6)
     np.testing.assert_allclose([told.value, told.sigma], [2.0, 0.01 * np.sqrt(2.0)], rtol=1e-6)
@@ -29,7 +29,7 @@ def test_a_sum_that_is_known_is_told_with_its_deviation() -> None:
 
 def test_parameters_that_are_known_alone_make_no_combination() -> None:
     parameters = misalignment_construction().parameters[:4]
-    assert not determined(parameters, np.zeros(4), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-12)
+    assert not determined_combinations(parameters, np.zeros(4), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-12)
 
 
 @pytest.mark.long
@@ -58,4 +58,4 @@ def test_what_is_told_is_as_certain_as_its_own_weights_make_it() -> None:
         weights = np.array([told.combination.get(name, 0.0) for name in found.construction.parameter_names])
         factor = next(p.si_per_display_unit for p in found.construction.parameters if p.name in told.combination)
         np.testing.assert_allclose(told.sigma, np.sqrt(weights @ found.covariance @ weights) / factor, rtol=1e-9)
-        np.testing.assert_allclose(told.value, weights @ found.values[0] / factor, rtol=1e-9)
+        np.testing.assert_allclose(told.value, weights @ found.estimates[0] / factor, rtol=1e-9)

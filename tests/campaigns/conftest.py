@@ -14,7 +14,7 @@ from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_of
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.draws import EffectDistribution, TrialDraws
+from ltsim.simulation.draws import EffectDistribution, TrialDistributions
 from tests.campaigns.small import FILE
 
 
@@ -41,15 +41,15 @@ def truth_of(
     recording, state = workshop(faces=faces)
     built = construction or misalignment_construction()
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    population = TrialDraws(
+    population = TrialDistributions(
         sightings=sightings_of(recording, state),
         construction=built,
         instruments=("",),
-        mean=np.zeros_like(sigma),
-        sigma=scale * sigma,
-        noise=recording.sigma(),
-        lengths=ReferenceLengths.of(recording),
-        names=recording.targets,
+        instrument_means=np.zeros_like(sigma),
+        instrument_sigmas=scale * sigma,
+        noise_sigmas=recording.sigma(),
+        reference_lengths=ReferenceLengths.of(recording),
+        length_end_names=recording.targets,
         effects=effects,
     )
     return CellTruth(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))

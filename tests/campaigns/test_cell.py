@@ -19,10 +19,10 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.draws import NormalSource
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.draws import StandardNormalSource
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
+from ltsim.simulation.simulator import measure_trial
 
 BUILTIN = (
     "paper-workshop",
@@ -39,7 +39,7 @@ unknowns, treats effects as linear within 1e-3 of a reading's sigma, and keeps s
 
 def scenario(**changes: Any) -> Scenario:
     table = load_scenario("paper-workshop").model_dump(mode="json", by_alias=True, exclude_none=True)
-    return scenario_from(table | changes, Path("test.toml"))
+    return validate_scenario(table | changes, Path("test.toml"))
 
 
 def with_effect(name: str) -> Scenario:
@@ -47,7 +47,7 @@ def with_effect(name: str) -> Scenario:
     kind = find_effect(name)
     entry: dict[str, Any] = {"name": name, "draw": True}
     if issubclass(kind, Blunder):
-        seen = fieldwork(load_scenario("paper-workshop"), SEED).sightings
+        seen = make_geometry(load_scenario("paper-workshop"), SEED).sightings
         made = kind.possible_blunders(seen)[0]
         entry = {"name": name, "values": {made.parameters[0].name: 1.0}}
         entry |= {"stations": list(made.stations), "targets": list(made.targets)}
@@ -70,9 +70,9 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     step = truth.step[0]
     assert np.all(np.abs(gap) <= 1e-3 * recording.sigma() + 1.001 * step)
     assert np.mean(np.abs(gap) > 0.5 * step) < 0.02
-    np.testing.assert_array_equal(block.values[0, :, TRIAL], list(true.instrument.values()))
-    np.testing.assert_array_equal(block.amounts[0][:, TRIAL], true.applied[0].values)
-    lengths = truth.population.lengths.length + block.gauge_error[:, TRIAL]
+    np.testing.assert_array_equal(block.values[0, :, TRIAL], list(true.instrument_values.values()))
+    np.testing.assert_array_equal(block.amounts[0][:, TRIAL], true.applied_effects[0].parameter_values)
+    lengths = truth.population.reference_lengths.length + block.gauge_error[:, TRIAL]
     np.testing.assert_allclose(lengths, ReferenceLengths.of(recording).length, rtol=0, atol=1e-9)
 
 
@@ -108,8 +108,10 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
     found = lt.calibrate(tmp_path / "rec", method=method)
     assert row["trial"] == TRIAL
     factor = np.array([p.si_per_display_unit for p in misalignment_construction().parameters])
-    ours, sigma = (np.array([row[f"{what}:{name}"] for name in found.names]) for what in ("estimate", "sigma"))
-    gap = (ours * factor - found.values[0]) / found.sigma[0]
+    ours, sigma = (
+        np.array([row[f"{what}:{name}"] for name in found.instrument_parameter_names]) for what in ("estimate", "sigma")
+    )
+    gap = (ours * factor - found.estimates[0]) / found.sigma[0]
     assert np.abs(gap).max() < SIGMAS
     np.testing.assert_allclose(sigma * factor, found.sigma[0], rtol=2e-3)
 
@@ -120,7 +122,7 @@ def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     assert {"window", "noise-level"} <= {kind.name for kind in is_nonnegative}
     for kind in is_nonnegative:
         truth = truth_of(with_effect(kind.name), 6)
-        drawn = truth.population.draw(NormalSource(6, np.arange(1024))).amounts[0]
+        drawn = truth.population.draw(StandardNormalSource(6, np.arange(1024))).effect_values[0]
         for k, parameter in enumerate(truth.effects[0].effect.parameters):
             if truth.effects[0].is_nonnegative[k]:
                 assert np.all(drawn[k] >= 0)
@@ -165,4 +167,4 @@ def test_variance_below_zero_is_refused_by_both() -> None:
     with pytest.raises(SetupError, match="makes a variance of the noise negative"):
         truth_of(given, 7).draw(7, 0)
     with pytest.raises(SetupError, match="makes a variance of the noise negative"):
-        measure(fieldwork(given, 7), 7)
+        measure_trial(make_geometry(given, 7), 7)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ltsim.calibration.distance_solver import mean_rows
+from ltsim.calibration.distance_solver import mean_deviation_rows
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.campaigns.cloud_kernels import distance_forces
 from ltsim.campaigns.distance import BatchDistance
@@ -43,13 +43,13 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
             clouds[s, t, :, k] += share[i] * misalignment_construction().point(raw, np.zeros(16))[0]
     clouds[..., :3] = clouds[..., 3:4]
     clouds[..., 5:] = clouds[..., 3:4]
-    length = batch.problem.gauge.length[:, None] + block.gauge_error
+    length = batch.problem.reference_lengths.length[:, None] + block.gauge_error
     cost = np.zeros(BLOCK)
     distance_forces(clouds, seen, gauge, length, np.zeros_like(clouds), cost)
     for k in (3, 4):
         problem = DistanceProblem(recording_of(truth, block, k), misalignment_construction(), batch.problem.prior_sigma)
-        rows = mean_rows(problem, problem.at(np.zeros(16)))
-        assert cost[k] == pytest.approx(float(rows.residual @ rows.residual), rel=1e-6)
+        rows = mean_deviation_rows(problem, problem.distances_at(np.zeros(16)))
+        assert cost[k] == pytest.approx(float(rows.residuals @ rows.residuals), rel=1e-6)
 
 
 def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:

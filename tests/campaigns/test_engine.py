@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.evaluation.criteria import evaluate
+from ltsim.adjustment.evaluation.criteria import evaluate_criteria
 from ltsim.campaigns.engine import FAILED, FULL, STATUSES, BatchCalibrator, recording_of
 from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.truth import BLOCK, CellTruth
@@ -123,7 +123,7 @@ def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibr
     assert [STATUSES[s] for s in found.status[[2, 3]]] == ["converged", FULL]
     assert np.isfinite(found.values).all()
     single, _, _ = engine.single.solved(recording_of(engine.truth, block, 3))
-    assert single is not None and single.gross[17]
+    assert single is not None and single.is_gross_pointing[17]
     assert np.array_equal(found.values[:, :, 3], single.state.instrument_parameters)
 
 
@@ -144,7 +144,7 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
     columns = shared | judge.after(block, found, engine.construction)
     for k in (0, 77, 255):
         recording = recording_of(truth, block, k)
-        criteria = evaluate(recording, engine.construction, found.values[0, :, k]).model_dump()
+        criteria = evaluate_criteria(recording, engine.construction, found.values[0, :, k]).model_dump()
         for kind in ("distance", "coordinate"):
             for when in ("before", "after"):
                 for which in ("mean", "max"):
@@ -157,8 +157,8 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
             calibrated=found.values[0, :, k],
             true_parameters=block.values[0, :, k],
         )
-        assert columns["error_raw_um"][k] == pytest.approx(1e6 * shares.raw, rel=1e-7)
-        assert columns["error_calibrated_um"][k] == pytest.approx(1e6 * shares.calibrated, rel=1e-7)
+        assert columns["error_raw_um"][k] == pytest.approx(1e6 * shares.raw_rms, rel=1e-7)
+        assert columns["error_calibrated_um"][k] == pytest.approx(1e6 * shares.calibrated_rms, rel=1e-7)
         points = truth.state.target_points + found.points[:, :, k]
         assert columns["target_error_um"][k] == pytest.approx(
             1e6 * target_error(points, truth.state.target_points), rel=1e-7
@@ -180,7 +180,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
         truth = make_truth(effects=(EffectDistribution(effect, np.full(2, 2e-9), np.full(2, 1e-9)),))
         silent = replace(
             truth,
-            population=replace(truth.population, noise=np.full((*truth.recording.readings.shape,), 1e-15)),
+            population=replace(truth.population, noise_sigmas=np.full((*truth.recording.readings.shape,), 1e-15)),
             step=np.zeros((1, 3)),
         )
         block = silent.draw(18, 0)

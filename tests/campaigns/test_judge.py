@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.judge import MICRO, TrialEvaluator
 from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.truth import truth_of
 from ltsim.geometry.polar import from_polar
-from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
+from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 
 SEEN_BY_LAST = (3, 3, 3, 2, 3, 3, 2, 3)
 """Targets that S6 reaches in the geometries of trials 0 to 7."""
@@ -25,7 +25,7 @@ def with_far_station(*, levelled: bool) -> Scenario:
     table["stations"]["S6"] = {"position_mm": [6000.0, 5000.0, 1900.0], "yaw_deg": 225.0}
     for station in table["stations"].values():
         station["levelled"] = levelled
-    return scenario_from(table, Path("far.toml"))
+    return validate_scenario(table, Path("far.toml"))
 
 
 def rows(scenario: Scenario) -> dict[str, list[object]]:
@@ -43,7 +43,7 @@ def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
         mine = recording.station == station
         cloud = from_polar(truth.readings(block, 0)[mine])
         goal = truth.state.target_points[recording.target[mine]]
-        total.append(np.sum((on_points(cloud, goal) - goal) ** 2, axis=1))
+        total.append(np.sum((align_to_points(cloud, goal) - goal) ** 2, axis=1))
     expected = MICRO * np.sqrt(np.concatenate(total).mean())
     assert judge.before(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
 
@@ -73,7 +73,7 @@ def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> No
     assert np.array_equal(found[[0, 1, 3]], whole[[0, 1, 3]])
     kept = np.arange(len(points)) != 7
     true = truth.state.target_points[kept]
-    gap = on_points(true + points[kept][:, :, 2], true) - true
+    gap = align_to_points(true + points[kept][:, :, 2], true) - true
     assert found[2] == pytest.approx(MICRO * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
     lost[:, :, 1] = np.nan
     assert np.isnan(judge.target_error(lost)[1])

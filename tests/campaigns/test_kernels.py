@@ -30,7 +30,9 @@ def test_points_and_readings_are_those_of_the_construction(
     built = CONSTRUCTIONS[name]()
     truth = make_truth(built, faces=faces)
     rng = np.random.default_rng(4)
-    values = truth.population.sigma[:, :, None] * rng.standard_normal((*truth.population.sigma.shape, BLOCK))
+    values = truth.population.instrument_sigmas[:, :, None] * rng.standard_normal(
+        (*truth.population.instrument_sigmas.shape, BLOCK)
+    )
     deviation = truth._exact(values)
     points = np.empty_like(deviation)
     points_of(truth.program_of(truth.construction), truth.recording.instrument, deviation, values, points)
@@ -48,7 +50,9 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
     values = np.zeros((1, 16, BLOCK))
-    values[:, :7] = truth.population.sigma[:, :7, None] * np.random.default_rng(5).standard_normal((1, 7, BLOCK))
+    values[:, :7] = truth.population.instrument_sigmas[:, :7, None] * np.random.default_rng(5).standard_normal(
+        (1, 7, BLOCK)
+    )
     deviation = truth._exact(values)
     for k in range(0, BLOCK, 50):
         exact = truth.construction.readings(truth.sightings.local, truth.recording.face, values[0, :, k])

@@ -33,7 +33,7 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     z = ((found.values - block.values) / found.sigma[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     scale = truth.construction.index("range-scale")
-    assert found.sigma[0, scale] < 0.8 * truth.population.sigma[0, scale]  # the bars tell something
+    assert found.sigma[0, scale] < 0.8 * truth.population.instrument_sigmas[0, scale]  # the bars tell something
     dof = engine.network.problem.dof
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))
     distance = BatchDistance(truth, truth.construction)

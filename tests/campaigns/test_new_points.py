@@ -66,7 +66,7 @@ def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: 
     raw, after, perfect = (np.array(found[name]) for name in ERRORS)
     assert np.mean(perfect) < np.mean(after) and np.all(after < raw)
     room = load_scenario("paper-laboratory")
-    names = lt.calibrate(lt.simulate(PAPER, seed=4).recording).names
+    names = lt.calibrate(lt.simulate(PAPER, seed=4).recording).instrument_parameter_names
     for trial in range(2):
         exact = {name: found[f"true:{name}"][trial] for name in names}
         seen, truth = lt.simulate(room, seed=9, trial=trial, changes={"instrument.errors": exact})
@@ -77,12 +77,12 @@ def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: 
                 for n, p in zip(names, built.parameters, strict=True)
             ]
         )
-        true = np.array([truth.instrument[n] for n in names])
-        judged = share_removed(seen, truth.points, built, calibrated=values, true_parameters=true)
+        true = np.array([truth.instrument_values[n] for n in names])
+        judged = share_removed(seen, truth.target_points, built, calibrated=values, true_parameters=true)
         # Another noise, another placing: the same instrument's error to a fifth.
-        assert raw[trial] == pytest.approx(1e6 * judged.raw, rel=0.2)
-        assert perfect[trial] == pytest.approx(1e6 * judged.true_parameters, rel=0.2)
-        assert after[trial] == pytest.approx(1e6 * judged.calibrated, rel=0.25)
+        assert raw[trial] == pytest.approx(1e6 * judged.raw_rms, rel=0.2)
+        assert perfect[trial] == pytest.approx(1e6 * judged.true_parameters_rms, rel=0.2)
+        assert after[trial] == pytest.approx(1e6 * judged.calibrated_rms, rel=0.25)
 
 
 def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, stacks
 from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.judge import TrialEvaluator
@@ -40,7 +40,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth
     dof = engine.network.problem.dof
     assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / found.chi2.size)
     points = truth.state.target_points
-    moved = np.stack([on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)])
+    moved = np.stack([align_to_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)])
     assert np.sqrt(np.mean((moved / engine.sigma_targets) ** 2)) == pytest.approx(1.0, abs=0.06)
     columns = TrialEvaluator(truth).before(block)
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
@@ -61,7 +61,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     np.testing.assert_allclose(known, slow.instrument_sigma, rtol=1e-6)
     found = BatchCalibrator(truth, built).calibrate(truth.draw(5, 0))
     points = truth.state.target_points
-    errors = [on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)]
+    errors = [align_to_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)]
     achieved = np.sqrt(np.mean(np.sum(np.square(errors), axis=2)))
     assert achieved / slow.target_rms == pytest.approx(1.0, abs=0.07)
 

@@ -139,7 +139,7 @@ def test_results_go_through_a_pool_of_processes(sweep: Any) -> None:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert list(pool.map(described, results)) == [described(result) for result in results]
         (again,) = pool.map(lt.calibrate, [recording])
-    assert np.array_equal(again.values, calibration.values)
+    assert np.array_equal(again.estimates, calibration.estimates)
     assert lt.campaign(sweep.folder) == sweep
 
 
@@ -167,7 +167,7 @@ def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> No
     rows = lt.campaign(campaign, out=tmp_path / "rows")
     recording, _ = lt.simulate("paper-workshop", seed=1, trial=1)
     found = lt.calibrate(recording)
-    assert not np.array_equal(found.applied, found.values)  # else both are one
+    assert not np.array_equal(found.applied_values, found.estimates)  # else both are one
     for method, applied in (("network", False), ("applied", True)):
         judged = lt.judge("paper-workshop", found, "paper-laboratory", applied=applied, seed=1, trial=1)
         sql = f"SELECT new_point_error_calibrated_um FROM rows WHERE trial = 1 AND method = '{method}'"

@@ -14,7 +14,7 @@ from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.recovery_trials import from_prior
 from ltsim.campaigns.truth import truth_of
 from ltsim.core.randomness import stream
-from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.simulation.scenario import change_scenario, load_scenario
 
 TWO = load_scenario("two-trackers")
 
@@ -27,7 +27,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
         for k, parameter in enumerate(truth.construction.parameter_names):
             drawn = stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
             drawn[0] = stream(4, "instrument", name, parameter).standard_normal()
-            np.testing.assert_array_equal(block.values[i, k], truth.population.sigma[i, k] * drawn)
+            np.testing.assert_array_equal(block.values[i, k], truth.population.instrument_sigmas[i, k] * drawn)
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
     z = (found.values - block.values) / found.sigma[:, :, None]
@@ -41,7 +41,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
 
 def test_recovery_checks_every_trackers_parameters() -> None:
     drawn = from_prior(load_scenario("two-trackers"))
-    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers.values())
+    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
     found = lt.recover("two-trackers", trials=12, seed=1)
     assert found.failures() == [] and found.arrays.z.shape == (12, 32)
     names = [p.parameter for p in found.parameters]
@@ -54,6 +54,6 @@ def test_recovery_checks_every_trackers_parameters() -> None:
 def test_intervals_hold_for_every_construction_and_number_of_trackers(construction: str, trackers: str) -> None:
     changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
     changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
-    found = lt.recover(changed(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
+    found = lt.recover(change_scenario(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
     assert len(found.converged) == 60
     assert 0.93 < np.mean(np.abs(found.z) < 1.96) < 0.97

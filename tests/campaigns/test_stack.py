@@ -13,14 +13,14 @@ from ltsim.campaigns.judge import TrialEvaluator
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.simulation.scenario import change_scenario, load_scenario
 
 TRIALS = 5
 
 
 def drawn(name: str) -> dict[int, CellTruth]:
     """Truths whose pointings come in different orders."""
-    scenario = changed(load_scenario(name), {"work.order": "by-station-random"}, Path(name))
+    scenario = change_scenario(load_scenario(name), {"work.order": "by-station-random"}, Path(name))
     common = truth_of(scenario, 8, "campaign")
     return {k: truth_of(scenario, 8, "campaign", k, like=common) for k in range(TRIALS)}
 

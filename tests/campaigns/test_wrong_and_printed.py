@@ -12,7 +12,7 @@ from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign, judge_of
 from ltsim.core.errors import RecordError
 from ltsim.recordings.settings import checked
-from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.simulation.scenario import change_scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 
 PAPER = load_scenario("paper-workshop")
@@ -24,7 +24,7 @@ def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: An
     """Columns as arrays; `key` of the scenario changed."""
     tables = {"format": "ltsim-campaign/1", "seed": 4, "trials": trials, "methods": methods, "statistics": ["errors"]}
     made = Campaign.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
-    scenario = changed(PAPER, {key: value}, FILE)
+    scenario = change_scenario(PAPER, {key: value}, FILE)
     table = shard_rows(ShardTask(made, scenario, "", 0, 0, judge_of(made.judge_in, scenario, FILE)))
     return {name: np.array(column) for name, column in table.to_pydict().items()}
 
@@ -43,10 +43,10 @@ def test_the_batch_finds_the_minimum_of_equation_9_that_users_find() -> None:
 
 
 def test_a_wrong_prior_changes_what_is_stated_and_nothing_that_is_true() -> None:
-    wide = changed(PAPER, {"instrument.prior_factor": 100.0}, FILE)
+    wide = change_scenario(PAPER, {"instrument.prior_factor": 100.0}, FILE)
     (right, truth), (stated, same) = simulate(PAPER, 3), simulate(wide, 3)
     assert stated.setup.instrument.prior.angle_arcsec == 100 * right.setup.instrument.prior.angle_arcsec
-    assert dict(truth.instrument) == dict(same.instrument)
+    assert dict(truth.instrument_values) == dict(same.instrument_values)
     np.testing.assert_array_equal(right.readings, stated.readings)
 
 

@@ -97,7 +97,7 @@ def test_json_alone_on_standard_output(workplace: Path, capsys, method: str) -> 
     content = json.loads(capsys.readouterr().out)
     assert content["method"] == method
     truth = read_truth(workplace / "truth.json")
-    z = [(p["value"] * 1e-6 - truth.instrument[p["name"]]) / (p["sigma"] * 1e-6) for p in content["parameters"]]
+    z = [(p["value"] * 1e-6 - truth.instrument_values[p["name"]]) / (p["sigma"] * 1e-6) for p in content["parameters"]]
     assert np.abs(z).max() < 4.5
 
 

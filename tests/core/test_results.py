@@ -21,7 +21,7 @@ from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flags, numbers, texts
 from ltsim.core.values import ValueEquality, equal_values
 from ltsim.reports.verbs import View
-from ltsim.simulation.inject import InjectionCurve
+from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
 from tests.families import family
 
@@ -180,7 +180,7 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
         lt.uncertainty(recording, {"task": [{"kind": "distance", "name": "d", "targets": ["T01", "T02"]}]}),
         lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}),
         lt.bench(Path(__file__).parents[2] / "docs" / "how-to" / "reflector.csv"),
-        InjectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
+        DetectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
         lt.judge("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
         lt.view("paper-workshop"),
         lt.plan(plan),

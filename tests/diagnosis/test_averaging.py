@@ -43,16 +43,16 @@ def test_a_law_that_does_much_is_taken_off_whole():
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.use, 0)
+    case = SelectionState(baseline, baseline.problem.used_readings, 0)
     elevation = RESPONSES_BY_NAME["elevation"][0]
     laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.sigma)
     found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.target_points
     basis = points - points.mean(axis=0)
-    linear = -case.searcher.space.moved_targets(first_order_change(case.searcher, found))
+    linear = -case.searcher.space.target_shifts(first_order_change(case.searcher, found))
     expected, shift = (
-        without_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free)
+        without_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
         for change in (fitted.adjustment.state.target_points - points, linear)
     )
     assert np.linalg.norm(expected) > 1e-5
@@ -67,7 +67,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
 def test_noise_moves_no_target() -> None:
     """The probability of a change of the noise is not that of a shift."""
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.use, 0)
+    case = SelectionState(baseline, baseline.problem.used_readings, 0)
     law = Hypothesis(
         EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
     )

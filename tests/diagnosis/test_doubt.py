@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.identification import identified
+from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND
@@ -35,7 +35,7 @@ def changed(recording, row, column, sigmas):
 
 
 def space_of(recording):
-    return ResidualSpace.of(adjust(recording, misalignment_construction()))
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     space = space_of(recording)
     at = np.flatnonzero(np.flatnonzero(space.use) == 3 * row + column)
     redundancy = float(space.redundancy[at][0])
-    selection = identified(recording, misalignment_construction())
+    selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
     assert np.argwhere(single_errors(selection.fit)).tolist() == [[row, column]]
     diagnosis = diagnose(recording)
@@ -71,9 +71,9 @@ def test_an_outlier_of_a_long_sight_is_no_gross_error_by_its_size_alone(sigmas, 
     recording, _ = network(seed=4)
     readings = recording.readings * [200.0, 1.0, 1.0]
     large = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": None}))
-    selection = identified(changed(large, 40, 1, sigmas), misalignment_construction())
+    selection = identify_causes(changed(large, 40, 1, sigmas), misalignment_construction())
     assert selection is not None
-    assert selection.fit.is_gross[40, 1]
+    assert selection.fit.is_gross_reading[40, 1]
     assert bool(single_errors(selection.fit)[40, 1]) == is_error
 
 
@@ -83,9 +83,9 @@ def test_outliers_share_their_place_with_those_that_are_small():
     rows = np.flatnonzero(recording.station == 2)[[2, 9, 16]]
     for row, sigmas in zip(rows, (14.0, -14.0, 7.0), strict=True):
         recording = changed(recording, row, 1, sigmas)
-    selection = identified(recording, misalignment_construction())
+    selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
-    assert selection.fit.outliers[rows, 1].all()
+    assert selection.fit.is_outlier[rows, 1].all()
     assert not single_errors(selection.fit).any()
 
 
@@ -102,7 +102,7 @@ def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
 def test_a_target_that_moved_is_no_wrong_reading():
     """Several readings of it are off, however large each is."""
     recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
-    selection = identified(recording, misalignment_construction())
+    selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
     assert not single_errors(selection.fit).any()
 

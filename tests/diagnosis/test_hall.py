@@ -32,9 +32,9 @@ def clean() -> tuple[Recording, Adjustment]:
 def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float) -> tuple[Finding, float]:
     """First finding with a change (n, 3) of the readings at a noncentrality, and the factor on the change."""
     recording, adjustment = clean
-    space = ResidualSpace.of(adjustment)
-    signature = np.zeros((space.size, 1))
-    signature[: int(space.use.sum()), 0] = (change / recording.sigma())[space.use]
+    space = ResidualSpace.from_adjustment(adjustment)
+    signature = np.zeros((space.n_rows, 1))
+    signature[: int(space.used_readings.sum()), 0] = (change / recording.sigma())[space.used_readings]
     factor = np.sqrt(strength) / np.linalg.norm(space.project(signature))
     diagnosis = diagnose(recording.with_readings(recording.readings + factor * change))
     assert diagnosis.verdict == "mismatch"
@@ -101,18 +101,18 @@ def test_a_gauge_that_moves_once_is_one_group() -> None:
 
 
 def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -> None:
-    space = ResidualSpace.of(clean[1])
+    space = ResidualSpace.from_adjustment(clean[1])
     rng = stream(5, "tail")
-    ranges = np.flatnonzero(np.nonzero(space.use)[1] == 0)
+    ranges = np.flatnonzero(np.nonzero(space.used_readings)[1] == 0)
     worse = rng.choice(ranges, len(ranges) // 10, replace=False)
-    noise = np.zeros((space.size, 1))
+    noise = np.zeros((space.n_rows, 1))
     noise[worse, 0] = 5.0 * rng.standard_normal(len(worse))
-    heavy = space.residual + space.project(noise)[:, 0]
+    heavy = space.residuals + space.project(noise)[:, 0]
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    best = bank.ranked(heavy, space.redundancy, np.zeros((space.size, 0)))[0][1]
+    best = bank.ranked(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
     assert getattr(best.effect, "each", "") == "reading" and best.effect.observables == ("distance",)
-    fitted = most_likely(replace(space, residual=heavy), space.sigma, best)
-    added = np.array(fitted.values)[np.nonzero(space.use)[0][ranges]]
+    fitted = most_likely(replace(space, residuals=heavy), space.sigma, best)
+    added = np.array(fitted.values)[np.nonzero(space.used_readings)[0][ranges]]
     is_worse = np.isin(ranges, worse) & (np.abs(heavy[ranges]) > 3.0)
     assert added[is_worse].min() > 1.0
     assert np.median(added[~np.isin(ranges, worse)]) < 0.2

@@ -24,7 +24,7 @@ from tests.networks import network
 def repeated():
     """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
     recording, truth = network(repeats=3, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment_construction(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     return space, recording.station * len(recording.targets) + recording.target, bank
 
@@ -193,13 +193,13 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
 
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment_construction(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
     assert repeat_means(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
-    space = ResidualSpace.of(adjust(recording, misalignment_construction(), start=truth.state))
+    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start=truth.state))
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
@@ -209,8 +209,10 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         change = np.zeros((len(pair), 3))
         change[:, 0] = 2.0 * drawn
         left = (
-            space.residual
-            + space.project(np.append(change[space.use], np.zeros(space.size - space.use.sum()))[:, None])[:, 0]
+            space.residuals
+            + space.project(
+                np.append(change[space.used_readings], np.zeros(space.n_rows - space.used_readings.sum()))[:, None]
+            )[:, 0]
         )
         evidence = evidence_of(bank, left, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]

@@ -20,7 +20,7 @@ DRAWS, SEEDS = 300, 3
 
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
-    white = stream(seed, "clean").standard_normal((searcher.space.size, DRAWS))
+    white = stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
     others = searcher.space.project(white).astype(np.float32)
     rest = Searcher(searcher.space, seed, 1, cards=searcher.cards)
     rest.probe = replace(searcher.probe, trials=others)
@@ -31,7 +31,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
 def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
-    space = ResidualSpace.of(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
+    space = ResidualSpace.from_adjustment(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
     chances = []
     for seed in range(SEEDS):
         searcher = Searcher(space, seed, 300)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.next_measurement import DECISIVE
+from ltsim.adjustment.remedies.next_measurement import MIN_DECISIVE_CHI2
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import separating_measurement
@@ -54,7 +54,7 @@ def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> 
     advice = separating_measurement(found, "station-settling", ["station-bump"], ())
     assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
     before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
-    assert before < DECISIVE < after
+    assert before < MIN_DECISIVE_CHI2 < after
 
 
 # --- detect -----------------------------------------------------------------------------------------------------------

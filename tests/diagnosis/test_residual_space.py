@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
+from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
 from ltsim.diagnosis.held_out import folds, held_out
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -19,7 +19,7 @@ from tests.networks import drawn, network
 @pytest.fixture(scope="module")
 def space() -> ResidualSpace:
     recording, _ = network(values=drawn(misalignment_construction(), 1), seed=1)
-    return ResidualSpace.of(adjust(recording, misalignment_construction()))
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
 def law(carrier: str, driver: Regressor) -> EmpiricalLaw:
@@ -29,7 +29,7 @@ def law(carrier: str, driver: Regressor) -> EmpiricalLaw:
 def test_the_drop_of_chi2_is_that_of_a_refit(space):
     wave = law("distance", Regressor("wave", ("azimuth",), constant=3.0))
     signature = space.signature(wave)
-    columns = orthonormal(space.project(signature), np.linalg.norm(signature, axis=0))
+    columns = orthonormal_columns(space.project(signature), np.linalg.norm(signature, axis=0))
     again = adjust(space.adjustment.recording, misalignment_construction(), effects=[wave])
     assert columns.shape[1] == 2
     drop = float(((columns.T @ space.residual) ** 2).sum())
@@ -43,7 +43,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
     )
     extended = space.augmented(space.signature(first))
     signature = space.signature(second)
-    columns = orthonormal(extended.project(signature), np.linalg.norm(signature, axis=0))
+    columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
     drop = float(((columns.T @ extended.residual) ** 2).sum())
@@ -57,11 +57,11 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         out = np.zeros(len(recording), dtype=bool)
         out[rows // 3] = True
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
-        rest = adjust(recording, misalignment_construction(), use=use, start=space.adjustment.state)
-        system = rest.problem.__class__.of(rest.problem.model).linearise(rest.state)
+        rest = adjust(recording, misalignment_construction(), reading_mask=use, start=space.adjustment.state)
+        system = rest.problem.__class__.from_model(rest.problem.model).linearise(rest.state)
         held = np.flatnonzero(np.repeat(out, 3))
-        design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.residual[held]
-        spread = design @ rest.factor.covariance_columns(design.T)
+        design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.whitened_residuals[held]
+        spread = design @ rest.factorised_normals.covariance_columns(design.T)
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))
         count += len(gap)
     assert held_out(space, 0).before == pytest.approx(np.sqrt(square / count), rel=1e-3)
@@ -83,7 +83,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     falls = 0
     for seed in range(6):
         recording, _ = network(seed=seed, stations=3)
-        clean = ResidualSpace.of(adjust(recording, misalignment_construction()))
+        clean = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
         error = held_out(clean, seed, Searcher(clean, seed), 2.0)
         falls += error.after < error.before
     assert falls <= 3

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_evidence, log_sum_exp
+from ltsim.calibration.evidence import EVIDENCE_SIZES, LOG_SIZE_PRIOR, log_evidence, log_sum_exp
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
@@ -29,7 +29,7 @@ from tests.networks import drawn, network
 @pytest.fixture(scope="module")
 def space() -> ResidualSpace:
     recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
-    return ResidualSpace.of(adjust(recording, misalignment_construction()))
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def made(space):
 
 def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
     """Log evidence of a law by its own signature."""
-    left = space.project(space.signature(law))
+    left = space.project(space.whitened_signature(law))
     left -= extension @ (extension.T @ left)
     sizes = np.array([p.prior_sigma for p in law.parameters])
     return posterior(left.T @ left, left.T @ residual, sizes)[2]
@@ -58,7 +58,7 @@ def test_priors_sum_to_one_over_everything(space, made):
     for table in (PRIOR, PLACES, KINDS, AT_TARGETS):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
     assert sum(part for _, part in rows()) == pytest.approx(1.0, abs=1e-12)
-    assert np.exp(LOG_WEIGHTS).sum() == pytest.approx(1.0)
+    assert np.exp(LOG_SIZE_PRIOR).sum() == pytest.approx(1.0)
     _, found, _ = made
     laws = sum(
         np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.coefficient_sigmas) for d in p.drivers) for p in found
@@ -90,8 +90,8 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in signatures), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
-    for one, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
-        for other, more in zip(SIZES, LOG_WEIGHTS, strict=True):
+    for one, weight in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
+        for other, more in zip(EVIDENCE_SIZES, LOG_SIZE_PRIOR, strict=True):
             columns = np.hstack([left[0] * one * sizes[0], left[1] * other * sizes[1]])
             inner = np.eye(columns.shape[1]) + columns.T @ columns
             score = columns.T @ whole
@@ -195,13 +195,13 @@ def test_evidence_is_that_of_the_dense_covariance():
     rng = stream(4, "dense")
     signature, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
     logs = []
-    for t in SIZES:
+    for t in EVIDENCE_SIZES:
         covariance = np.eye(12) + t**2 * signature @ signature.T
         quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = signature.T @ signature
     found = posterior(gram, signature.T @ residual, np.ones(2))
-    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_WEIGHTS)))
+    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_SIZE_PRIOR)))
     strength, turn = np.linalg.eigh(gram)
     assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
 

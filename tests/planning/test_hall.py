@@ -23,7 +23,7 @@ from ltsim.reports.work_order import work_order_page
 from ltsim.scene.floor import Floor, areas_and_keep_outs, inside, may_stand, outline_error
 from ltsim.scene.meshes import cylinder, joined_obstacles
 from ltsim.scene.visibility import visibility
-from ltsim.simulation.workshop import planned, sight_limits
+from ltsim.simulation.workshop import make_sight_limits, planned_layout
 from tests.recordings.test_limits import VERB, means
 
 HALL = """format = "ltsim-plan/1"
@@ -76,16 +76,16 @@ def hall(tmp_path: Path) -> Path:
 
 def test_stations_begin_where_the_hall_allows_and_see_every_point(hall: Path) -> None:
     _, scenario = load_plan(hall)
-    layout = planned(scenario)
-    assert len(layout.targets) == 30
-    x, y, z = layout.position.T
+    layout = planned_layout(scenario)
+    assert len(layout.target_names) == 30
+    x, y, z = layout.station_positions.T
     north = y > 5.19
     assert np.all(north | ((y > 0.59) & (y < 2.81)))
     assert np.all(z[north] <= 2.0)  # a head needs 0.3 m under the ceiling
     assert not np.any((x > 4.0) & (x < 5.5) & (y < 2.8))
     assert np.all(np.hypot(np.maximum(12.0 - x, 0), np.maximum(np.maximum(5.5 - y, y - 7.0), 0)) > 1.5)
     visible = visibility(
-        layout.position, layout.points, sight_limits(scenario, scenario.instrument), obstacles=None
+        layout.station_positions, layout.target_points, make_sight_limits(scenario, scenario.instrument), obstacles=None
     ).visible
     assert visible.any(axis=0).all()
 

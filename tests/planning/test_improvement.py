@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.evaluation.criteria import evaluate
+from ltsim.adjustment.evaluation.criteria import evaluate_criteria
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.range_cyclic import RangeCyclic
@@ -49,7 +49,9 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         )
         setup = clean.setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": lengths})})
         recording = clean.with_readings(readings).replace(setup=setup)
-        criteria = evaluate(recording, construction, adjust(recording, construction).state.instrument_parameters[0])
+        criteria = evaluate_criteria(
+            recording, construction, adjust(recording, construction).state.instrument_parameters[0]
+        )
         after = criteria.distance.after, criteria.coordinate.after
         assert after[0] is not None
         assert after[1] is not None

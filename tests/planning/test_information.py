@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import examine
+from ltsim.adjustment.remedies.detectability import detectability_at_places
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import stream
@@ -189,17 +189,17 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
     alone = NormalBlocks.concatenated(
         [reducer.blocks(made.position[s : s + 1], made.yaw[s : s + 1], np.array([s])) for s in range(5)]
     )
-    space = ResidualSpace.of(LayoutInformation.of(made).adjustment)
+    space = ResidualSpace.from_adjustment(LayoutInformation.of(made).adjustment)
     for blocks in (whole, alone):
         information = reducer.reduce(blocks, np.arange(5)[None]).information
         for k, effect in enumerate(effects):
-            visible = examine(space, [effect])
+            visible = detectability_at_places(space, [effect])
             assert visible is not None
             only = np.delete(
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2
             )
             size = smallest_sizes(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
-            assert size == pytest.approx(visible.sizes[0][0], rel=1e-6)
+            assert size == pytest.approx(visible.minimal_sizes[0][0], rel=1e-6)
 
 
 def test_fixed_nests_have_the_reflectors_error_in_both() -> None:

@@ -26,8 +26,8 @@ from ltsim.planning.result import Plan, write_plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile, Search
 from ltsim.planning.workshop import survey_of
-from ltsim.simulation.scenario import changed, load_scenario, scenario_to_toml
-from ltsim.simulation.workshop import visibility_of
+from ltsim.simulation.scenario import change_scenario, load_scenario, scenario_to_toml
+from ltsim.simulation.workshop import make_visibility
 
 HEAD = 'format = "ltsim-plan/1"\n'
 
@@ -95,7 +95,7 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     scenario = 'scenario = "ranges.toml"\n'
     goal = "[goal]\ninstrument = 0\ntargets = 1\n[stations]\ncount = 4\ntradeoff_counts = []\n"
     file, whole = load_plan(small(scenario + goal, tmp_path))
-    ranges = changed(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
+    ranges = change_scenario(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
     made = make_plan(file, ranges)
     assert made.reference is not None
     assert made.chosen.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
@@ -132,7 +132,7 @@ def test_files_hold_what_a_tripod_needs(plan: PlannedNetwork, result: Plan, tmp_
     assert places == pytest.approx(plan.chosen.survey.position * 1e3, abs=0.06)
     assert all(row["sees"] == "yes" for row in table(tmp_path / "out" / "visibility.csv"))
     scenario = load_scenario(tmp_path / "out" / "scenario.toml")
-    assert visibility_of(scenario).visible.all()
+    assert make_visibility(scenario).visible.all()
     again = LayoutInformation.of(survey_of(scenario))
     assert again.instrument_sigma == pytest.approx(plan.chosen.information.instrument_sigma, rel=2e-3)
 

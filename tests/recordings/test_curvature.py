@@ -71,8 +71,8 @@ def test_coordinates_that_are_given_need_not_stand_along_the_plumb_line_of_the_m
     assert 0.7 < adjusted.fit.sigma0 < 1.3
     true = np.loadtxt(tmp_path / "true.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3)) * 1e-3
     names = [line.split(",")[0] for line in (tmp_path / "true.csv").read_text().splitlines()[1:]]
-    at = [names.index(name) for name in adjusted.targets]
-    assert np.abs(adjusted.points - true[at]).max() < 3e-3
+    at = [names.index(name) for name in adjusted.target_names]
+    assert np.abs(adjusted.target_points - true[at]).max() < 3e-3
 
 
 @pytest.mark.parametrize("refraction", [0.0, 0.13, 0.3])

@@ -308,7 +308,7 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
         lt.adjust(whole)
     thinned = lt.convert(whole, tmp_path / "thinned", every=3)
     assert np.array_equal(thinned.readings, recording.readings)
-    assert len(lt.adjust(thinned).targets) == 28
+    assert len(lt.adjust(thinned).target_names) == 28
 
 
 def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> None:

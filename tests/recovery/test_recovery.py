@@ -18,9 +18,9 @@ from ltsim.campaigns.scoring import NetworkScore, Trial
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.scenario import Scenario, changed, load_scenario
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
+from ltsim.simulation.simulator import measure_trial
 from tests.families import family
 from tests.networks import target_error
 
@@ -144,7 +144,7 @@ def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
     assert [c.sentence() for c in result.failures()] == []
     assert lt.recover(scenario, trials=2, errors="drawn").errors == "drawn"
     _, truth = lt.simulate(scenario, seed=4)
-    assert truth.instrument["beam-tilt"] == pytest.approx(30e-6)
+    assert truth.instrument_values["beam-tilt"] == pytest.approx(30e-6)
 
 
 def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
@@ -167,7 +167,7 @@ def test_a_scatter_smaller_than_stated_fails_with_stated_errors_too() -> None:
 @pytest.mark.parametrize("method", ["network", "distance"])
 def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> None:
     errors = {"instruments.B.errors": {"draw": True, "beam-tilt": 30.0, "vertical-index": -25.0}}
-    scenario = changed(load_scenario("two-trackers"), errors, Path("hall.toml"))
+    scenario = change_scenario(load_scenario("two-trackers"), errors, Path("hall.toml"))
     result = lt.recover(scenario, trials=10, seed=2, method=method)
     assert result.errors == "stated"
     assert [c.sentence() for c in result.failures()] == []
@@ -219,25 +219,25 @@ def test_a_trial_that_does_not_converge_fails() -> None:
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (N, d) of parameters, targets and poses on one geometry, their stated sigmas, and inner-datum ratios."""
     scenario = from_prior(load_scenario("paper-workshop-re-aimed"))
-    work = fieldwork(scenario, 5)
+    work = make_geometry(scenario, 5)
     errors, sigmas, inner = [], [], []
     for trial in range(trials):
-        recording, truth = measure(work, 5, trial)
-        found = calibrate_network(recording, advise=False)
-        true = np.array([truth.instrument[name] for name in found.names])
+        recording, truth = measure_trial(work, 5, trial)
+        found = calibrate_network(recording, recommend_measurements=False)
+        true = np.array([truth.instrument_values[name] for name in found.instrument_parameter_names])
         held = found.adjustment.state  # the first station stands where it was put; the truth is moved there
-        turn = truth.rotation[0] @ held.station_rotations[0].T
-        points = (truth.points - truth.position[0]) @ turn + held.station_positions[0]
-        place = (truth.position[1:] - truth.position[0]) @ turn + held.station_positions[0]
+        turn = truth.station_rotations[0] @ held.station_rotations[0].T
+        points = (truth.target_points - truth.station_positions[0]) @ turn + held.station_positions[0]
+        place = (truth.station_positions[1:] - truth.station_positions[0]) @ turn + held.station_positions[0]
         stood = np.array([s.position for s in found.stations[1:]])
         errors.append(
-            np.concatenate([found.values[0] - true, (found.points - points).ravel(), (stood - place).ravel()])
+            np.concatenate([found.estimates[0] - true, (found.target_points - points).ravel(), (stood - place).ravel()])
         )
         spread = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         poses = np.array([s.sigma_position for s in found.stations[1:]])
         sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
         predicted = np.einsum("tii->", found.adjustment.in_inner_datum().target_covariance) / len(points)
-        inner.append(target_error(found.points, points) ** 2 / predicted)
+        inner.append(target_error(found.target_points, points) ** 2 / predicted)
     return np.array(errors), np.array(sigmas), np.array(inner)
 
 

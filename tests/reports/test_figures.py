@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.adjustment.evaluation.criteria import CRITERIA
+from ltsim.adjustment.evaluation.criteria import CRITERIA_TABLE
 from ltsim.adjustment.fieldcheck.check import check as check_of
 from ltsim.calibration.calibration_series import ChiSquareEntry
-from ltsim.calibration.history import CourseEntry
+from ltsim.calibration.history import ParameterCourse
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.statistics import Scores
 from ltsim.core.notation import fixed, number, with_sigma
@@ -107,7 +107,7 @@ def history_figure() -> Figure:
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
     told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
-    courses = [CourseEntry(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    courses = [ParameterCourse(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
     return estimates.history_figure(labels, courses)
 
 
@@ -141,7 +141,7 @@ def shares_of_limits() -> Figure:
 
 def criteria_figure() -> Figure:
     rows = [("distance", 29, 60, 17, 39, 40.1), ("worse", 3.26, 39, 29, 60, -70.6)]
-    return estimates.criteria_figure(CRITERIA.filled(rows))
+    return estimates.criteria_figure(CRITERIA_TABLE.filled(rows))
 
 
 def distributions() -> Figure:

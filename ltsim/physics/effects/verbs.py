@@ -208,7 +208,7 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
 
     Parameters
     ----------
-    kind : type of Effect
+    effect_class : type of Effect
         With a name, a stage, parameters and `design`.
 
     Raises

@@ -252,7 +252,7 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, as of `regressor_text`; `n_modes` is for a smooth one. Raises ModelError."""
+    """Regressor from its text form, as of `text`; `n_modes` is for a smooth one. Raises ModelError."""
     factors, steps = text.split(FACTOR_SEPARATORS["product"]), _STEP_SEPARATOR.split(text)
     if text.endswith(PER_INSTRUMENT_SUFFIX):
         by_instrument = group_amounts_regressor("instrument", len(recording.instruments))

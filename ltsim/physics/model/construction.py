@@ -234,11 +234,11 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
 
     Parameters
     ----------
-    harmonics : int
+    max_order : int
         Order of the rotary joints' error functions, 0 to 4.
     degree : int
         Degree of the range axis' polynomials in d.
-    extra : float
+    unphysical_sigma : float
         Prior sigma of the coefficients beyond the physical set, as a share of 5 um or 1 arcsec: they are a
         penalised remainder, not free parameters: most of them repeat others (`kinematics.dh`).
 

@@ -17,7 +17,7 @@ from ltsim.reports import style
 from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
 
 if TYPE_CHECKING:
-    from ltsim.calibration.history import CourseEntry
+    from ltsim.calibration.history import ParameterCourse
     from ltsim.planning.plan_entries import PlannedParameterEntry
     from ltsim.planning.result import Plan
 
@@ -125,7 +125,7 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
 
 
 @style.styled
-def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
+def history_figure(names: Sequence[str], courses: Sequence[ParameterCourse]) -> Figure:
     """Course of parameters over calibrations: estimates with 95 % intervals, and mean with spread; one panel each."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))

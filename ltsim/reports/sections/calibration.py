@@ -10,7 +10,14 @@ import numpy as np
 
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import NOISE, OUTLIERS, PARAMETERS, PLACES, RESIDUALS, TARGETS
+from ltsim.calibration.schema import (
+    NOISE_TABLE,
+    OUTLIERS_TABLE,
+    PARAMETERS_TABLE,
+    RESIDUALS_TABLE,
+    STATION_COORDINATES_TABLE,
+    TARGETS_TABLE,
+)
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option
 from ltsim.core.notation import fixed, number
@@ -69,7 +76,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     if content.noise_estimated:
         words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in SETTLED
-    targets, residuals = (context.file(table.file, content) for table in (TARGETS, RESIDUALS))
+    targets, residuals = (context.file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
     pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
@@ -196,14 +203,14 @@ def _warnings(content: Calibration, *, converged: bool, agrees: bool) -> list[Bl
     lines = uncertainty_sentences(content)
     blocks += [BulletList("Uncertainty", lines)] if lines else []
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        lines = [*([content.correction.line] if agrees else []), *content.correction.sentences]
+        lines = [*([content.correction.error_text] if agrees else []), *content.correction.sentences]
         blocks += [BulletList("Benefit of the calibration", [sentence(line) for line in lines])] if lines else []
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
-    blocks += table_block("Outlying readings", OUTLIERS.filled(content.outliers))
+    blocks += table_block("Outlying readings", OUTLIERS_TABLE.filled(content.outliers))
     note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
-    return blocks + table_block("Noise estimated from the readings", NOISE.filled(content.noise), note=note)
+    return blocks + table_block("Noise estimated from the readings", NOISE_TABLE.filled(content.noise), note=note)
 
 
 def _reference_values(content: Calibration) -> list[TableBlock]:
@@ -239,7 +246,7 @@ def _actions(content: Calibration, *, good: bool) -> list[str]:
 
 
 def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
-    rows, true_values = content.parameters, {} if truth is None else truth.instrument
+    rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
     true = [true_values[n] / FACTOR[truth.units[n]] if truth and n in true_values else None for n in names]
     text = "Corrections (truth minus reading) with 95 % intervals, relative to the specified standard deviation."
@@ -248,7 +255,7 @@ def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
         note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
     blocks: list[Block] = [
         Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
-        *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),
+        *table_block("Parameters in numbers", PARAMETERS_TABLE.filled(rows), note=note, folds=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
@@ -275,7 +282,7 @@ def _stations(content: Calibration) -> list[TableBlock]:
         for s in content.stations
     ]
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return table_block("Stations", PLACES.filled(rows), note=note)
+    return table_block("Stations", STATION_COORDINATES_TABLE.filled(rows), note=note)
 
 
 def workshop_of(

@@ -27,7 +27,7 @@ from ltsim.reports.figures.campaign import (
 )
 from ltsim.reports.figures.campaign_factors import cell_words, drawn, level_column, varied
 from ltsim.reports.words import count, of_presets, sentence
-from ltsim.simulation.keys import meaning_of
+from ltsim.simulation.keys import key_description
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,7 +148,7 @@ def _varied(results: Results) -> list[Block]:
     for factor in results.factors:
         values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MAX_VALUES else [values[0], "...", values[-1]]
-        meaning = meaning_of(factor.keys[0]).replace("`", "")
+        meaning = key_description(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
     return [*table_block("What was varied", VARIED.filled(rows))]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ltsim.adjustment.identification.selection import LARGEST_GAIN
-from ltsim.calibration.schema import RESIDUALS
+from ltsim.adjustment.identification.selection import MAX_LOG_EVIDENCE_GAIN
+from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.errors import LtsimError
 from ltsim.core.notation import NONE, number, with_sigma
 from ltsim.core.probability import p_text, two_sided
@@ -110,7 +110,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer, notice = sentence(content.summary), ""
     if truth is not None and truth.effects:
-        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.applied])
+        what = listing([f"{title_of(a.effect.name)} ({_place_of(a.effect)})" for a in truth.applied_effects])
         notice = f"This recording is simulated, with {what} injected on purpose; the diagnosis does not read the truth."
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
@@ -178,7 +178,7 @@ def _residuals(
     content: Diagnosis, context: ReportContext, pair: Pair | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings, with covariates from the geometry of the recording."""
-    file, stored = (context.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
+    file, stored = (context.file(name, content) for name in (RESIDUALS_TABLE.file, BEFORE.file))
     geometry = Residuals.from_adjustment(pair[0]) if pair is not None else None
     after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
     return (before if after is not None else None), after
@@ -207,7 +207,7 @@ def _finding(
     lines = [
         f"where: {_place(finding.where)}",
         "without it, no network fits the readings"
-        if evidence.chi2_drop >= LARGEST_GAIN
+        if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
         else f"chi2 falls by {number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",
@@ -308,7 +308,7 @@ def _detectability(content: Diagnosis) -> list[TableBlock]:
 
 def _against_truth(content: Diagnosis, truth: Truth, pair: Pair | None) -> list[Block]:
     """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
-    named = {a.effect.name: a for a in truth.applied}
+    named = {a.effect.name: a for a in truth.applied_effects}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
     rows = [
@@ -316,14 +316,14 @@ def _against_truth(content: Diagnosis, truth: Truth, pair: Pair | None) -> list[
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
     table = table_block("Injected and diagnosed", INJECTED.filled(rows), note=note)
-    return [*_curves(content, truth.applied[0], pair), *table]
+    return [*_curves(content, truth.applied_effects[0], pair), *table]
 
 
 def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
     """Rows of an injected effect and its finding: effect, place, values, shape constants."""
     true: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
-        sizes = zip(injected.effect.parameters, injected.values, strict=True)
+        sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
         true = {p.name: (value / p.si_per_display_unit, p.unit) for p, value in sizes}
         true |= {
             s.name: (getattr(injected.effect, s.name) / FACTOR[s.unit], s.unit)
@@ -358,7 +358,10 @@ def _curves(content: Diagnosis, applied: AppliedEffect, pair: Pair | None) -> li
             injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
         )
         values = np.array([estimates.get(p.name, 0.0) * p.si_per_display_unit for p in injected.parameters])
-        true, fitted = injected.reading_change(sightings, applied.values), effect.reading_change(sightings, values)
+        true, fitted = (
+            injected.reading_change(sightings, applied.parameter_values),
+            effect.reading_change(sightings, values),
+        )
     except LtsimError:
         return []
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))

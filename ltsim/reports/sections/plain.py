@@ -9,7 +9,7 @@ from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
-from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS, EventEntry
+from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_FOR_USUAL, EventEntry
 from ltsim.calibration.history import History
 from ltsim.core.notation import number
 from ltsim.core.probability import format_p, p_text
@@ -197,12 +197,12 @@ def history_section(content: History, _: ReportContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, usual = content.since_first, len(labels) > ENOUGH_STEPS
+    since, usual = content.since_first, len(labels) > MIN_STEPS_FOR_USUAL
     changed = bool(content.events) if usual else since.p_value < FAMILY_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    figure = partial(figures.parameters.history_figure, labels, content.determined)
-    course = [Picture("Course of the parameters", figure, text)] if content.determined else []
-    few = "no event can be detected" if len(labels) <= LEAST_STEPS else "only a gross event can be detected"
+    figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
+    course = [Picture("Course of the parameters", figure, text)] if content.determined_parameters else []
+    few = "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
     hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
     note = "Marked: p < 1 % for such differences without a change." + hardly * (not usual)
     scaled = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."

@@ -10,7 +10,7 @@ import pytest
 
 import ltsim as lt
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench
-from ltsim.adjustment.evaluation.bench import BENCH
+from ltsim.adjustment.evaluation.bench import BENCH_TABLE
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MICROMETRE
@@ -25,7 +25,7 @@ def written(path: Path, bench: BenchTest, seed: int) -> Path:
     record = measure_bench(bench, seed)
     lengths = dict(zip(np.round(record.angles / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True))
     rows = zip(np.round(record.probe_angles / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
-    path.write_text(BENCH.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
+    path.write_text(BENCH_TABLE.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
     return path
 
 

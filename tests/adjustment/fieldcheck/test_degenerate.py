@@ -11,8 +11,8 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.fieldcheck.occupation import face_pairs
-from ltsim.adjustment.quality import warnings_of
+from ltsim.adjustment.fieldcheck.occupation import face_pair_rows
+from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import FAMILY_LEVEL, GLOBAL_LEVEL
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import LtsimError
@@ -91,13 +91,13 @@ def agreed(way: Break, seed: int) -> str:
     broken = way(seen(recording, state.target_points, seed), state.target_points, stream(seed, way.__name__))
     said = words(lt.adjust, broken)
     if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
-        (doubt,) = warnings_of(lt.adjust(broken).adjustment)
+        (doubt,) = adjustment_warnings(lt.adjust(broken).adjustment)
         assert way is on_a_line
         assert "hardly determine its pose" in doubt
-        assert "hardly determine its pose" in calibrate_network(broken, advise=False).verdict.sentence
+        assert "hardly determine its pose" in calibrate_network(broken, recommend_measurements=False).verdict.sentence
         assert any(item.sentence == doubt and not item.passed for item in check(broken).items)
         return doubt
-    assert words(lambda r: calibrate_network(r, advise=False), broken) == said
+    assert words(lambda r: calibrate_network(r, recommend_measurements=False), broken) == said
     if way is clockwise:  # what is understood is mended by a diagnosis, and said
         assert "clockwise" in str(lt.diagnose(broken))
     else:
@@ -126,7 +126,7 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
     adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
     (item,) = (item for item in found.items if item.kind == "network")
     assert found.passed == item.passed
-    if lt.adjust(noisy, robust=True).adjustment.rejected.any():
+    if lt.adjust(noisy, robust=True).adjustment.is_rejected.any():
         assert "contradicts the other stations" in item.sentence
         return
     assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= FAMILY_LEVEL / 4)
@@ -170,13 +170,13 @@ AXES = {
 def network(adjustment: Adjustment) -> str:
     """Fit and targets of an adjusted network; criteria compare points of pointings, those along the axis included."""
     points = np.round(1e6 * adjustment.state.target_points, 1).tolist()
-    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.rejected.sum()} {points}"
+    return f"{adjustment.chi2:.4f} {adjustment.dof} {adjustment.is_rejected.sum()} {points}"
 
 
 VERBS = {
     "adjust": lambda r: network(lt.adjust(r).adjustment),
     "check": lambda r: str(check(r)),
-    "calibrate": lambda r: network(calibrate_network(r, advise=False).adjustment),
+    "calibrate": lambda r: network(calibrate_network(r, recommend_measurements=False).adjustment),
     "diagnose": lambda r: str(lt.diagnose(r)),
 }
 """Results by verb."""
@@ -202,7 +202,7 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     turned = np.where(twice.vertical[:, None] & [False, True, False], 1.0 + face[:, None], readings)
     assert twice.vertical.sum() == 2 and check(twice).passed
     assert str(check(twice.with_readings(turned))) == str(check(twice))
-    assert len(face_pairs(twice)) == len(once) - 1
+    assert len(face_pair_rows(twice)) == len(once) - 1
 
 
 def test_a_target_that_only_a_vertical_pointing_reaches_is_undetermined_and_the_note_names_the_row(

@@ -118,14 +118,14 @@ def test_injected_misalignments_come_back_from_a_recording_that_states_its_mirro
     tracker = scenario.instrument.model_copy(update={"construction": "steering-mirror", "errors": {"draw": True}})
     recording, truth = simulate(scenario.model_copy(update={"instrument": tracker}), 4)
     assert recording.setup.instrument.construction == "steering-mirror"
-    found = calibrate_network(recording, advise=False)
+    found = calibrate_network(recording, recommend_measurements=False)
     assert found.construction.name == "steering-mirror"
-    true = np.array([truth.instrument[name] for name in found.construction.parameter_names])
-    off = found.values[0] - true
+    true = np.array([truth.instrument_values[name] for name in found.construction.parameter_names])
+    off = found.estimates[0] - true
     z2 = float(off @ np.linalg.solve(found.covariance, off))
     assert 5.6 < z2 < 46.8  # 21 degrees of freedom, 99.9 % of samples
     assert found.fit.p_value is not None and found.fit.p_value > 1e-3
-    wrong = calibrate_network(recording, make_construction("misalignment"), advise=False)
+    wrong = calibrate_network(recording, make_construction("misalignment"), recommend_measurements=False)
     assert wrong.fit.chi2 > found.fit.chi2 + 100
 
 

@@ -37,10 +37,10 @@ def test_a_signature_is_estimated_beside_poses_and_targets() -> None:
 
 def test_what_an_adjustment_leaves_of_a_signature_holds_its_size() -> None:
     recording, truth = network(faces=2, seed=3)
-    space = ResidualSpace.of(adjust(recording, truth.construction))
-    whole = space.signature(Ripple())
+    space = ResidualSpace.from_adjustment(adjust(recording, truth.construction))
+    whole = space.whitened_signature(Ripple())
     left = space.project(whole)
-    assert whole.shape == (space.size, 1)
+    assert whole.shape == (space.n_rows, 1)
     assert 0.5 < float(left[:, 0] @ left[:, 0]) / float(whole[:, 0] @ whole[:, 0]) < 1.0
 
 

@@ -63,7 +63,9 @@ def test_without_a_plan_nothing_is_turned() -> None:
 def test_rough_places_do_not_lean_the_room() -> None:
     """Heights that are rough by a decimetre turn nothing but the yaw: instruments on tripods know the vertical."""
     recording, truth = simulate(load_scenario("paper-workshop"), seed=1)
-    first = truth.rotation[0]
-    turn = plan_rotation(recording, (truth.position - truth.position[0]) @ first, first.T @ truth.rotation)
+    first = truth.station_rotations[0]
+    turn = plan_rotation(
+        recording, (truth.station_positions - truth.station_positions[0]) @ first, first.T @ truth.station_rotations
+    )
     leaned = (first @ turn)[2, 2]
     assert np.degrees(np.arccos(min(1.0, leaned))) < 0.1

@@ -91,7 +91,7 @@ def test_calibration_uses_the_bench_test_of_the_setup() -> None:
     variances = []
     for recording in (plain, tested, aimed):
         found = lt.calibrate(recording, advise=False)
-        variances.append(found.sigma[0, found.names.index("azimuth-eccentricity-sin")] ** 2)
+        variances.append(found.sigma[0, found.instrument_parameter_names.index("azimuth-eccentricity-sin")] ** 2)
     without, with_bench, none = variances
     assert with_bench - none < 0.5 * (without - none)
 
