@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaigns.truth import CellTruth, truth_of
+from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.physics.model.construction import misalignment_construction
@@ -20,7 +20,7 @@ from ltsim.simulation.scenario import load_scenario
 
 def workshop() -> CellTruth:
     """The paper's: 28 targets, 5 stations, one face."""
-    return truth_of(load_scenario("paper-workshop"), 1, "benchmark")
+    return make_cell_truth(load_scenario("paper-workshop"), 1, "benchmark")
 
 
 def room(stations: int, targets: int) -> CellTruth:

@@ -77,9 +77,9 @@ def _read_result(file: Path) -> Any:
     if kind == Calibration.model_fields["format"].default:
         return read_calibration(file)
     if kind.startswith("ltsim-campaign-rows/"):
-        from ltsim.campaigns.results import Results
+        from ltsim.campaigns.results import CampaignResults
 
-        return Results(file.parent)  # the rows beside the manifest
+        return CampaignResults(file.parent)  # the rows beside the manifest
     model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)

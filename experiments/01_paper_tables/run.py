@@ -15,7 +15,7 @@ from ltsim.adjustment.evaluation.criteria import (
     distance_errors,
 )
 from ltsim.campaigns.rows import CellContext, TrialBlock
-from ltsim.campaigns.spec import Campaign, Cell
+from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
 from ltsim.core.units import MICROMETRE
@@ -63,24 +63,30 @@ def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
     return named(distance_errors(clouds, nominal), coordinate_errors(clouds, nominal), np.abs(gaps).max(), max(miss))
 
 
-def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataFrame]:
+def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, str], pd.DataFrame]:
     """Trials of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
-    ready = CellContext(campaign, cell.scenario, cell.judge)
+    ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
-    for here, calibrators, block in ready.blocks(0, campaign.trials):
+    for here, calibrators, block in ready.trial_blocks(0, campaign.trials):
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = TrialBlock(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
-        assert work.new_points is not None
-        assert cell.judge is not None
-        there, elsewhere, _ = work.new_points
+        work = TrialBlock(campaign, here, block, ready.validation_geometry, wanted, wanted[:0])
+        assert work.validation_block is not None
+        assert cell.validation_scenario is not None
+        there, elsewhere, _ = work.validation_block
         room, names = there.truth, here.truth.recording.stations
-        true = (room.state.target_points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
+        true = (
+            room.state.target_points,
+            room.recording.targets,
+            cell.validation_scenario.cmm,
+            campaign.seed,
+            "nominal",
+        )
         nominal = {i: measure_nominal_points(*true, int(block.trials[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
-            values = calibrator.calibrate(block, wanted).values
+            values = calibrator.calibrate(block, wanted).instrument_values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
-                raw = judge.clouds(own.deviation)
-                corrected = judge.clouds(own.deviation, calibrator.construction, values)
+                raw = judge.station_clouds(own.reading_deviations)
+                corrected = judge.station_clouds(own.reading_deviations, calibrator.construction, values)
                 for i in wanted:
                     row = {}
                     for when, clouds in (("before", raw), ("after", corrected)):

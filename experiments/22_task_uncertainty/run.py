@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.common import Made, Options, batches, show_table
 from ltsim.campaigns.engine import BatchCalibrator
-from ltsim.campaigns.truth import BLOCK, CellTruth, truth_of
+from ltsim.campaigns.truth import BLOCK, CellTruth, make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import parallel
 from ltsim.measurands.inputs import Inputs
@@ -35,8 +35,8 @@ def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number:
     frame of inner constraints, which the prediction is told in.
     """
     engine = BatchCalibrator(truth, misalignment_construction())
-    found = engine.calibrate(truth.draw(seed, number))
-    drawn = truth.state.target_points + np.moveaxis(found.points, 2, 0)
+    found = engine.calibrate(truth.draw_block(seed, number))
+    drawn = truth.state.target_points + np.moveaxis(found.target_errors, 2, 0)
     rotation, shift, _ = best_fit(placed, drawn)
     drawn = np.einsum("bji,btj->bti", rotation, drawn - shift[:, None])
     measurands = [Measurand.of(task, truth.recording.targets, placed) for task in tasks.task]
@@ -82,7 +82,7 @@ def run(given: Options) -> Made:
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[Any] = []
     for case in config["cases"]:
-        truth = truth_of(scenario_of(config["scenario"], case), seed)
+        truth = make_cell_truth(scenario_of(config["scenario"], case), seed)
         linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
         work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, BLOCK)]
         errors = np.concatenate([*parallel(errors_of, work, given.jobs)])[:trials]

@@ -143,12 +143,11 @@ class ReferenceTest(ReferenceValue):
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
             remark = "; the ranges define the scale and the lengths only their ratios" if self.is_excluded else ""
-            size = f"{self.error_text} too {more} (w = {self.normalised_error:.3g})"
-            return f"{self.name} are {size}, or all ranges are too {less}: {causes}{remark}"
+            size = f"{self.name} are {self.error_text} too {more} (w = {self.normalised_error:.3g})"
+            return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
-            both = ", ".join((self.name, *self.indistinguishable_from))
-            size = f"{what} by {self.error_text}"
-            return f"{both} are inconsistent ({size}); the data do not show which one is wrong"
+            both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
+            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
         rest = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
         if self.occupied_by and self.is_height:
             rest = f"or the height of set-up {self.occupied_by} over it: excluded"

@@ -198,7 +198,7 @@ def _damped_step(
     effects: list[CandidateEffect],
     directions: list[list[ShapeDirection]],
     changes: Floats,
-    chi2_before: Adjustment,
+    previous: Adjustment,
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed constants and their adjustment, after halvings until chi-square does not increase.
 
@@ -206,8 +206,8 @@ def _damped_step(
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, directions, share * changes)
-        tried = adjustment(effects=moved, start=chi2_before.state)
-        if tried.solution.has_converged and tried.chi2 <= chi2_before.chi2 + MAX_CHI2_INCREASE:
+        tried = adjustment(effects=moved, start=previous.state)
+        if tried.solution.has_converged and tried.chi2 <= previous.chi2 + MAX_CHI2_INCREASE:
             return moved, tried
     return None
 

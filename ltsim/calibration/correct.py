@@ -60,7 +60,7 @@ def correct(
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
             "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
-            f"without that cause, or give {option('rejected=True')} to use it nevertheless"
+            f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
         )
     values = corrections.values_for(source)
     without = source.with_readings(source.readings - incidence_correction_change(source, corrections))

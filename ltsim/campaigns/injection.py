@@ -26,12 +26,13 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
-SIZE = "size"
+AMPLITUDE_NAME = "size"
 """Name of the amplitude of a law in text form: rms of the change of its response, in the unit of the response."""
-STRENGTHS = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-TRIES = 25
+DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
+"""Noncentralities of a detection curve if none are given."""
+MAX_PLACE_DRAWS = 25
 """Largest number of draws of unspecified values until an injection is detectable."""
-MIN_OVERLAP = 0.5
+MIN_PLACE_OVERLAP = 0.5
 """Smallest fraction of common targets or stations at which a group of them counts as correct."""
 
 
@@ -92,8 +93,8 @@ def inject(
     )
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
-        drawn, values = _sized(injector, cause, noncentrality, rng)
-        changed, entry = injector.inject(drawn, values, _called(cause), rng)
+        drawn, values = _scaled_injection(injector, cause, noncentrality, rng)
+        changed, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
         injector = injector.with_recording(changed)
         injected.append(entry)
     return RecordingWithInjection(changed, InjectionTruth(seed, tuple(injected)))
@@ -103,7 +104,7 @@ def injection_curve(
     recording: RecordingSource,
     cause: str | CandidateEffect | SizedEffect,
     *,
-    strengths: Sequence[float] = STRENGTHS,
+    strengths: Sequence[float] = DEFAULT_NONCENTRALITIES,
     injections: int = 5,
     seed: int = 0,
 ) -> DetectionCurve:
@@ -137,21 +138,25 @@ def injection_curve(
     rows = []
     for strength in strengths:
         draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
-        judged = [judge(diagnose(made), truth.injected_effects[0], background) for made, truth in draws]
-        rows.append(_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
+        judged = [
+            compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
+        ]
+        rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     reported = tuple(sorted({f.effect for f in background.findings}))
-    return DetectionCurve(_called(cause), reported, tuple(rows))
+    return DetectionCurve(_catalogue_name(cause), reported, tuple(rows))
 
 
-def _called(cause: str | CandidateEffect | SizedEffect) -> str:
+def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
-def judge(diagnosis: Diagnosis, cause: InjectedEffect, background: Diagnosis) -> dict[str, bool]:
+def compare_with_injection(
+    diagnosis: Diagnosis, cause: InjectedEffect, background_findings: Diagnosis
+) -> dict[str, bool]:
     """Flags for the findings beyond those of the background: effect detected, located and identified."""
-    before = {_key(f) for f in background.findings}
-    new = [f for f in diagnosis.findings if _key(f) not in before]
-    placed = [f for f in new if _placed(cause.effect, f)]
+    before = {_finding_key(f) for f in background_findings.findings}
+    new = [f for f in diagnosis.findings if _finding_key(f) not in before]
+    placed = [f for f in new if _has_same_place(cause.effect, f)]
     name = cause.effect.name
     named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
     first = new[:1]
@@ -163,59 +168,61 @@ def judge(diagnosis: Diagnosis, cause: InjectedEffect, background: Diagnosis) ->
     }
 
 
-def _key(finding: Any) -> tuple[Any, ...]:
+def _finding_key(finding: Any) -> tuple[Any, ...]:
     where = finding.where
     return finding.effect, tuple(where.stations), tuple(where.targets), tuple(where.observables)
 
 
-def _placed(cause: CandidateEffect, finding: Any) -> bool:
+def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     """True if stations and targets agree, or the observables for an effect without a place."""
     where = finding.where
     pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
-    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_OVERLAP * len(a | b) for a, b in pairs)
+    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in pairs)
     reported = set(where.observables) or set(cause.observables)
     return overlaps and bool(reported & set(cause.observables))
 
 
-def _row(strength: float, causes: Sequence[InjectedEffect], judged: Sequence[Mapping[str, bool]]) -> dict[str, float]:
-    row: dict[str, float] = {"noncentrality": strength, "injections": len(judged)}
+def _curve_row(
+    strength: float, causes: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
+) -> dict[str, float]:
+    row: dict[str, float] = {"noncentrality": strength, "injections": len(comparisons)}
     row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in causes]))
     row["largest_urad"] = float(
         np.mean([max(c.largest_changes["azimuth_urad"], c.largest_changes["elevation_urad"]) for c in causes])
     )
     for key in ("detections", "placed", "named", "right"):
-        row[key] = sum(outcome[key] for outcome in judged)
+        row[key] = sum(outcome[key] for outcome in comparisons)
         if key != "right":
-            interval = binomtest(int(row[key]), len(judged)).proportion_ci(method="wilson")
+            interval = binomtest(int(row[key]), len(comparisons)).proportion_ci(method="wilson")
             row[f"{key}_low"], row[f"{key}_high"] = interval.low, interval.high
     return row
 
 
-def _sized(
+def _scaled_injection(
     injector: Injector,
     cause: str | CandidateEffect | SizedEffect,
     noncentrality: float | None,
-    rng: np.random.Generator,
+    random_generator: np.random.Generator,
 ) -> tuple[CandidateEffect, Floats]:
     """Effect and its values [SI]; if the network absorbs the drawn ones, other places and constants are drawn."""
-    for attempt in range(TRIES):
-        drawn, values = _drawn(injector, cause, rng)
+    for attempt in range(MAX_PLACE_DRAWS):
+        drawn, values = _drawn_effect(injector, cause, random_generator)
         if noncentrality is None:
             break
         try:
             return drawn, injector.scale_to_noncentrality(drawn, values, noncentrality)
         except ModelError:
-            if attempt == TRIES - 1:
+            if attempt == MAX_PLACE_DRAWS - 1:
                 raise
     return drawn, values
 
 
-def _drawn(
-    injector: Injector, cause: str | CandidateEffect | SizedEffect, rng: np.random.Generator
+def _drawn_effect(
+    injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
 ) -> tuple[CandidateEffect, Floats]:
     """Effect with its place, constants and parameter values (q,) [SI]; unspecified ones are drawn."""
     if isinstance(cause, str):
-        text, sizes = _split(cause)
+        text, sizes = _split_parameter_values(cause)
         asked = parse_requested_effect(text, injector.recording)
     else:
         given, sizes = (cause.effect, dict(cause.parameter_values)) if isinstance(cause, SizedEffect) else (cause, {})
@@ -230,14 +237,14 @@ def _drawn(
         candidates = asked.candidates(injector.residual_space.adjustment)
     if not candidates:
         raise ModelError(f"{effect.name} has no place in this recording")
-    chosen = candidates[int(rng.integers(len(candidates)))]
-    return chosen, _values(chosen, sizes, injector, rng)
+    chosen = candidates[int(random_generator.integers(len(candidates)))]
+    return chosen, _parameter_values(chosen, sizes, injector, random_generator)
 
 
-def _split(text: str) -> tuple[str, dict[str, float]]:
+def _split_parameter_values(text: str) -> tuple[str, dict[str, float]]:
     """Text of an effect without the values of parameters, and these values."""
     name, _, rest = text.partition(":")
-    names = {SIZE} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
+    names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
     for item in items:
         key, _, value = item.partition("=")
@@ -250,18 +257,22 @@ def _split(text: str) -> tuple[str, dict[str, float]]:
     return f"{name}:{','.join(words)}" if words else name, sizes
 
 
-def _values(cause: CandidateEffect, sizes: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
-    drawn = np.array([p.prior_sigma for p in cause.parameters]) * rng.standard_normal(len(cause.parameters))
+def _parameter_values(
+    cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
+) -> Floats:
+    drawn = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
+        len(cause.parameters)
+    )
     positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
     drawn = np.where(positive, np.abs(drawn), drawn)
     if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))
-    if not sizes:
+    if not given_values:
         return drawn
     if isinstance(cause, EmpiricalLaw):
         moved = cause.columns(injector.residual_space.sightings) @ drawn.reshape(-1, cause.regressor.n_columns).T
         rms = float(
             np.sqrt(np.mean(np.sum(moved[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
         )
-        return drawn * sizes[SIZE] * cause.parameters[0].si_per_display_unit / rms
-    return np.array([sizes.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])
+        return drawn * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
+    return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

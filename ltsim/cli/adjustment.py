@@ -24,7 +24,7 @@ MIN_SHOWN = 0.005
 """Smallest change of readings [um, arcsec] that `correct` reports: half of the last digit."""
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Rejected = Annotated[
-    bool, typer.Option("--rejected", help="Also use a calibration whose readings contradict its model.")
+    bool, typer.Option("--allow-rejected", help="Also use a calibration whose readings contradict its model.")
 ]
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
@@ -69,7 +69,7 @@ def correct(
     out: Corrected,
     *,
     reading: FramedReading,
-    rejected: Rejected = False,
+    allow_rejected: Rejected = False,
     force: Force = False,
     terminal: Terminal,
 ) -> None:
@@ -87,7 +87,7 @@ def correct(
     from ltsim.physics.effects import title_of
 
     recording, instrument = reading.of(source), read_calibration(calibration)
-    corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=rejected)
+    corrected = lt.correct(recording, instrument, allow_repeated=force, allow_rejected=allow_rejected)
     terminal.notes((*recording.notes, *instrument.warnings))
     if not instrument.instrument_parameter_names:
         terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])

@@ -207,7 +207,7 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
-PYTHON_ONLY = ("advise", "again", "geometry", "about", "format", "hints", "follower")
+PYTHON_ONLY = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
 LARGEST = 1e12
 """Largest magnitude of a number in an option that is a mapping."""

@@ -196,12 +196,12 @@ def demo(
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
-    from ltsim.campaigns.kernels import compiled_before  # slow to import
+    from ltsim.campaigns.kernels import is_compiled  # slow to import
 
     for name, place in WRITTEN.items():
         place.rule(out / name, True)
     outcomes = []
-    if not compiled_before():
+    if not is_compiled():
         terminal.note("First run: compiling the solver takes about 30 s.")
     for number, (title, step) in enumerate(STEPS.items(), start=1):
         began = time.perf_counter()

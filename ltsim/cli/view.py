@@ -109,11 +109,11 @@ def view(
 
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
-    from ltsim.planning.layout_scenario import PLAN, SCENARIO
+    from ltsim.planning.layout_scenario import PLAN_FILE, SCENARIO_FILE
     from ltsim.reports.board.board import Board
     from ltsim.reports.board.server import BoardAccess, serve
 
-    for name in (SCENARIO, PLAN):
+    for name in (SCENARIO_FILE, PLAN_FILE):
         check_file(out / name, force)
     with terminal.progress("reading the plan"):
         access = BoardAccess(Board.of(plan), out)

@@ -9,7 +9,7 @@ from ltsim.adjustment.remedies.next_measurement import MeasurementProposal, Rank
 from ltsim.adjustment.remedies.remedy import list_text
 from ltsim.core.results import Column, Table, columns_of, texts
 from ltsim.physics.effects import title_of
-from ltsim.planning.plan_change import in_degrees, in_millimetres
+from ltsim.planning.plan_change import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
 
@@ -43,7 +43,7 @@ class ProposalEntry(Entry):
     """Direction of azimuth zero at a new set-up; null for other measurements."""
 
     @classmethod
-    def of(cls, proposal: MeasurementProposal) -> Self:
+    def from_proposal(cls, proposal: MeasurementProposal) -> Self:
         """Entry of a proposal of `next_measurement`."""
         p, there = proposal, proposal.remedy.added_setup_on_plan
         return cls(
@@ -56,12 +56,12 @@ class ProposalEntry(Entry):
             evidence=p.expected_chi2,
             distinguishes=p.distinguished_explanations,
             decides=p.distinguishes_all,
-            position_mm=in_millimetres(there[0]) if there else None,
-            yaw_deg=in_degrees(there[1]) if there else None,
+            position_mm=to_millimetres(there[0]) if there else None,
+            yaw_deg=to_degrees(there[1]) if there else None,
         )
 
 
-NEXT = Table(
+PROPOSALS_TABLE = Table(
     "next.csv",
     "proposals of further measurements in the order of benefit",
     columns_of(
@@ -96,14 +96,14 @@ class NextMeasurement(ResultFile):
     """Proposals of additional measurements, the best first."""
 
     @classmethod
-    def of(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
+    def from_ranking(cls, ranked: RankedProposals, source: SourceEntry | None = None) -> Self:
         """Result with the proposals for a recording."""
         return cls(
             recording=source,
             between=ranked.compared_explanations,
             evidence_now=ranked.present_chi2,
             advice=ranked.advice_sentence,
-            proposals=tuple(ProposalEntry.of(proposal) for proposal in ranked.proposals),
+            proposals=tuple(ProposalEntry.from_proposal(proposal) for proposal in ranked.proposals),
         )
 
     def _lines(self) -> list[str]:
@@ -111,12 +111,12 @@ class NextMeasurement(ResultFile):
         return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"proposals": self._proposals, "separation": self._separation}
+        return {"proposals": self._proposals_table, "separation": self._evidence_table}
 
-    def _proposals(self) -> Table:
-        return NEXT.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
+    def _proposals_table(self) -> Table:
+        return PROPOSALS_TABLE.filled({**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals)
 
-    def _separation(self) -> Table:
+    def _evidence_table(self) -> Table:
         """Table of the evidence between the first explanation and each other one: now, and after each measurement."""
         rivals = self.between[1:]
         against = tuple(

@@ -12,7 +12,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import identify_causes
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.randomness import stream
@@ -216,7 +216,7 @@ def test_one_radius_for_all_moves_nothing() -> None:
 
 def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
     with pytest.raises(SetupError, match="trials in batch use one SMR"):
-        truth_of(scenario(), 1)
+        make_cell_truth(scenario(), 1)
 
 
 def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:

@@ -181,7 +181,7 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
         lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}),
         lt.bench(Path(__file__).parents[2] / "docs" / "how-to" / "reflector.csv"),
         DetectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
-        lt.judge("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
+        lt.compare_calibrations("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
         lt.view("paper-workshop"),
         lt.plan(plan),
         campaign,

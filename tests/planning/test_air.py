@@ -18,7 +18,7 @@ from ltsim.physics.effects.air import (
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
-from ltsim.planning.workshop import site_of
+from ltsim.planning.workshop import make_search_space
 from ltsim.recordings.air import Air
 from tests.planning.fixtures import survey
 from tests.planning.test_hall import HALL, points_csv
@@ -28,16 +28,16 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
     built, air = misalignment_construction(), Air(turbulence_um2_per_m3=0.0, beyond_mm=0.0)
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
-    information = LayoutInformation.of(made, built)
-    added = information.target_covariance - LayoutInformation.of(without, built).target_covariance
-    recording, sightings = made.recording(built), information.adjustment.sightings
+    information = LayoutInformation.from_survey(made, built)
+    added = information.target_covariance - LayoutInformation.from_survey(without, built).target_covariance
+    recording, sightings = made.noise_free_recording(built), information.adjustment.sightings
     errors = reading_changes_per_sigma(air, sightings)
     moved = []
     for cause, station in np.ndindex(2, 3):
         change = np.where((sightings.station == station)[:, None], errors[..., cause], 0.0)
         read = recording.with_readings(recording.readings + change)
-        shift = (adjust(read, built, start=made.state(built)).state.target_points - made.points).ravel()
-        motion = rigid_motion(made.points)
+        shift = (adjust(read, built, start=made.nominal_state(built)).state.target_points - made.target_points).ravel()
+        motion = rigid_motion(made.target_points)
         moved.append((shift - motion @ np.linalg.lstsq(motion, shift, rcond=None)[0]).reshape(-1, 3))
     expected = np.einsum("cti,ctj->tij", np.array(moved), np.array(moved))
     assert added == pytest.approx(expected, rel=1e-4, abs=1e-4 * expected.max())
@@ -57,10 +57,10 @@ def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path:
     visible = {}
     for text in (HALL, HALL + "[air]\nbeyond_mm = 30000\n"):
         file.write_text(text, encoding="utf-8")
-        visible[text] = site_of(*load_plan(file), stations=3, faces=1).survey
+        visible[text] = make_search_space(*load_plan(file), stations=3, faces=1).survey
     with_air, without = visible.values()
     assert with_air.air == Air()
     assert without.air is None
-    assert site_of(*load_plan("paper-workshop"), stations=5, faces=2).survey.air is None
-    larger = LayoutInformation.of(with_air).target_rms
-    assert larger > 1.05 * LayoutInformation.of(without).target_rms
+    assert make_search_space(*load_plan("paper-workshop"), stations=5, faces=2).survey.air is None
+    larger = LayoutInformation.from_survey(with_air).target_rms
+    assert larger > 1.05 * LayoutInformation.from_survey(without).target_rms

@@ -232,6 +232,8 @@ def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
     """A folder as `ltsim plan --after` leaves it."""
     made = rank_next_measurements(recording(), explanations=between)
     folder.mkdir(parents=True)
-    content = NextMeasurement.of(made).model_copy(update={"diagnosis": "The recording agrees with the model."})
+    content = NextMeasurement.from_ranking(made).model_copy(
+        update={"diagnosis": "The recording agrees with the model."}
+    )
     (folder / "next.json").write_text(content.text())
     return folder

@@ -22,7 +22,7 @@ from ltsim.adjustment.fieldcheck.check import check as check_of
 from ltsim.calibration.calibration_series import ChiSquareEntry
 from ltsim.calibration.history import ParameterCourse
 from ltsim.calibration.schema import ParameterEntry
-from ltsim.campaigns.statistics import Scores
+from ltsim.campaigns.statistics import ZScoreSummary
 from ltsim.core.notation import fixed, number, with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.schema import Curve, Where
@@ -215,9 +215,9 @@ def driver_curve() -> Figure:
     return misfits.driver_curve(curve, "distance", residuals()[0])
 
 
-def scores(z: np.ndarray) -> list[Scores]:
+def scores(z: np.ndarray) -> list[ZScoreSummary]:
     shares = (np.abs(z) <= 1.96).mean(axis=1)
-    return [Scores(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
+    return [ZScoreSummary(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
 
 
 def coverage() -> Figure:
@@ -376,7 +376,7 @@ def test_numbers_read_like_numbers() -> None:
 
 
 def test_coverage_interval_is_wilsons() -> None:
-    row = Scores(0, "network", "a", 100, 0.0, 1.0, 0.95)
+    row = ZScoreSummary(0, "network", "a", 100, 0.0, 1.0, 0.95)
     assert sweeps.interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
 
 

@@ -165,8 +165,8 @@ def written(folder: Path, name: str, turn: np.ndarray = Y_UP_TO_Z_UP.T, **keys: 
 
 
 def test_a_body_of_a_file_hides_sights(tmp_path: Path) -> None:
-    survey = lt.plan(written(tmp_path, "fuselage.stl")).network.chosen.survey
-    assert survey.visible.any() and not survey.visible.all()
+    survey = lt.plan(written(tmp_path, "fuselage.stl")).network.layout.survey
+    assert survey.is_visible.any() and not survey.is_visible.all()
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.campaigns.truth import truth_of
+from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
 from ltsim.geometry.alignment import best_fit
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.workshop import survey_of
+from ltsim.planning.workshop import planned_survey
 from ltsim.recordings.setup import Target
 from ltsim.simulation.truth import Truth
 
@@ -54,11 +54,15 @@ def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
 
 
 def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
-    assert not survey_of(lt.scenario("paper-workshop", RANGES)).is_whole
-    assert truth_of(lt.scenario("paper-workshop", RANGES), 1).recorded.tolist() == [True, False, False]
+    assert not planned_survey(lt.scenario("paper-workshop", RANGES)).records_angles
+    assert make_cell_truth(lt.scenario("paper-workshop", RANGES), 1).recorded_observables.tolist() == [
+        True,
+        False,
+        False,
+    ]
     angles = lt.scenario("paper-workshop", {"instrument.observables": ["azimuth", "elevation"]})
     with pytest.raises(SetupError, match="or ranges only"):
-        survey_of(angles)
+        planned_survey(angles)
 
 
 def test_a_level_tells_nothing_of_ranges() -> None:

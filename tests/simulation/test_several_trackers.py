@@ -12,7 +12,7 @@ import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.planning.workshop import survey_of
+from ltsim.planning.workshop import planned_survey
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
@@ -147,4 +147,4 @@ def test_stations_name_trackers_only_where_there_are_some() -> None:
 
 def test_a_plan_is_for_one_tracker() -> None:
     with pytest.raises(SetupError, match="a plan needs one, in the table"):
-        survey_of(TWO)
+        planned_survey(TWO)

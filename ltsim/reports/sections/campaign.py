@@ -10,9 +10,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from ltsim.campaigns.results import Results
-from ltsim.campaigns.schema import ERRORS, MEANS_BY_LEVEL, SHARES, VARIED, ManifestFile, column_of, errors_of
-from ltsim.campaigns.statistics import Checked, Scores, Spread
+from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.schema import (
+    ERRORS_TABLE,
+    FACTORS_TABLE,
+    MEANS_BY_LEVEL_TABLE,
+    RATIO_STATISTICS,
+    ManifestFile,
+    find_column,
+    ratio_columns,
+)
+from ltsim.campaigns.statistics import SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.notation import number
 from ltsim.core.results import Table as TableOf
 from ltsim.reports.document import Block, CodeBlock, Fact, Picture, Section, TableBlock, mood, table_block
@@ -58,10 +66,10 @@ def campaign_section(folder: Path) -> Section:
     SetupError
         When the folder holds no finished shard, or a damaged one.
     """
-    results = Results(folder)
+    results = CampaignResults(folder)
     manifest = results.manifest
-    spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
-    scores, ends = results.z_scores(), results.checked()
+    spreads = {name: results.distribution(name) for name in results.columns if ":" not in name}
+    scores, ends = results.z_score_summaries(), results.solver_comparisons()
     published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
     drawn_ = _distributions(results, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
@@ -88,11 +96,13 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean(s: Spread, level: str = "95 %: ") -> str:
+def _mean(s: StatisticSummary, level: str = "95 %: ") -> str:
     return f"{number(s.mean)} ({level}{number(s.low)} to {number(s.high)})"
 
 
-def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
+def _answer(
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], ends: Sequence[SolverComparison]
+) -> str:
     """Answer: factors, improvement by calibration, best and worst cells."""
     manifest, factors = results.manifest, varied(results)
     fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
@@ -112,7 +122,7 @@ def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequenc
     return (text if means_in_words else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
 
 
-def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
+def _extremes(results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]]) -> str:
     means = spreads.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
@@ -126,7 +136,7 @@ def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
+def _facts(manifest: ManifestFile, ends: Sequence[SolverComparison], scores: Sequence[ZScoreSummary]) -> list[Fact]:
     failed = sum(end.failed for end in ends)
     checked = [end.largest_difference_sigma for end in ends if end.largest_difference_sigma is not None]
     facts = [
@@ -143,17 +153,17 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
     return facts
 
 
-def _varied(results: Results) -> list[Block]:
+def _varied(results: CampaignResults) -> list[Block]:
     rows = []
     for factor in results.factors:
-        values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
+        values = list(dict.fromkeys(factor.level_text(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MAX_VALUES else [values[0], "...", values[-1]]
         meaning = key_description(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
-    return [*table_block("What was varied", VARIED.filled(rows))]
+    return [*table_block("What was varied", FACTORS_TABLE.filled(rows))]
 
 
-def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[TableBlock]:
+def _by_factor(results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]]) -> list[TableBlock]:
     """Table of means over the cells of each level, if there are many cells; factors with few levels first."""
     if len(results.levels) <= MAX_ROWS:
         return []
@@ -161,13 +171,15 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Ta
     for factor in sorted(varied(results), key=lambda f: len(set(level_column(results, f)))):
         for name in filter(spreads.get, LABELS):
             for s in spreads[name]:
-                key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
+                key = title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 groups.setdefault(key, []).append(s.mean)
     rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in groups.items()]
-    return table_block("Means over the settings of a level", MEANS_BY_LEVEL.filled(rows))
+    return table_block("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.filled(rows))
 
 
-def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
+def _improvements(
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], published: Mapping[str, float]
+) -> list[Block]:
     """Figures of means with intervals over the settings, compared with the published values."""
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
@@ -185,22 +197,22 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
     return blocks
 
 
-def campaign_figure(results: Results) -> Figure:
+def campaign_figure(results: CampaignResults) -> Figure:
     """Figure of the first main statistic over the factors; of distributions if nothing varies."""
     if len(results.levels) > 1:
         for column, label in LABELS.items():
             if column in results.columns:
-                return next(drawn(results, results.spread(column), label, None))[1]()
+                return next(drawn(results, results.distribution(column), label, None))[1]()
     return distributions(_rows_of(results, {}))
 
 
-def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDistribution]:
+def _rows_of(results: CampaignResults, published: Mapping[str, float]) -> list[TrialDistribution]:
     """Distributions of the criteria, or of other errors, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
     wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
-    values = {c: results.values(c, cell, results.manifest.methods[0], most=MAX_DRAWN) for c in wanted}
+    values = {c: results.column_values(c, cell, results.manifest.methods[0], max_trials=MAX_DRAWN) for c in wanted}
     return [
         TrialDistribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
         for c, v in values.items()
@@ -208,7 +220,7 @@ def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDist
     ]
 
 
-def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
+def _distributions(results: CampaignResults, published: Mapping[str, float]) -> list[Block]:
     """Histograms of the criteria of the first method, if there is one setting."""
     rows = [] if len(results.levels) > 1 else _rows_of(results, published)
     caption = "Dashed: published values, with the share of trials below them." if published else ""
@@ -216,7 +228,7 @@ def _distributions(results: Results, published: Mapping[str, float]) -> list[Blo
     return [Picture(title, partial(distributions, rows), caption)] if rows else []
 
 
-def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
+def _coverage(results: CampaignResults, scores: Sequence[ZScoreSummary]) -> list[Block]:
     """z-scores and coverage: figure for the first cell of each method, table for all cells."""
     blocks: list[Block] = []
     for method in dict.fromkeys(s.method for s in scores):
@@ -229,7 +241,7 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
 
-def coverage_words(rows: Sequence[Scores]) -> str:
+def coverage_words(rows: Sequence[ZScoreSummary]) -> str:
     """Sentence on the parameters whose coverage is outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED)
     red = [row.parameter for row, out in zip(rows, uncovered(rows), strict=True) if out]
@@ -247,27 +259,29 @@ def _column_words(column: str) -> str:
     return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
 
 
-def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
+def _errors(results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]]) -> list[Block]:
     """Tables of errors before and after calibration, with the noise floor that no parameter removes."""
     names = cell_words(results)
     blocks: list[Block] = []
-    for share in SHARES:
-        entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
+    for share in RATIO_STATISTICS:
+        entries = [spreads.get(name, []) for name in (*ratio_columns(share), share)]
         rows = [
             [names[of[0].cell], of[0].method, *(_mean(s, "") for s in of)] for of in zip(*entries, strict=all(entries))
         ]
         named = "new point" if share.startswith("new_point") else "point"
         note = f"{_meaning(share)}. Noise floor: error with the true parameters. In brackets: 95 % interval."
-        blocks += table_block(f"Error of a {named}", ERRORS.filled(rows), note=note)
+        blocks += table_block(f"Error of a {named}", ERRORS_TABLE.filled(rows), note=note)
     return blocks
 
 
 def _meaning(column: str) -> str:
-    declared = column_of(column)
+    declared = find_column(column)
     return sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 
-def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
+def _statistics(
+    results: CampaignResults, spreads: Mapping[str, list[StatisticSummary]], ends: Sequence[SolverComparison]
+) -> list[Block]:
     """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
@@ -284,7 +298,7 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Seq
     ]
 
 
-def _settings(results: Results, table: TableOf) -> TableOf:
+def _settings(results: CampaignResults, table: TableOf) -> TableOf:
     """Table of cells with the settings displayed as given: 0.5 and not 0.5000."""
     given = {f.name for f in results.factors}
     columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)

@@ -26,7 +26,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
 
-INFORMATION = LayoutInformation.of(survey())
+INFORMATION = LayoutInformation.from_survey(survey())
 SPACE = ResidualSpace.from_adjustment(INFORMATION.adjustment)
 
 SINGLE = level_of_single_test(len(CATALOGUE) - len(BASELINE) + 1, GLOBAL_LEVEL)
@@ -94,7 +94,7 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     assert sag is not None
     assert sag.visible_fractions[0] < 1e-3
     others = misalignment_construction(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
-    space = ResidualSpace.from_adjustment(LayoutInformation.of(survey(), others).adjustment)
+    space = ResidualSpace.from_adjustment(LayoutInformation.from_survey(survey(), others).adjustment)
     first, second = (
         detectability_at_places(space, [HeadSag()]),
         detectability_at_places(space, [ElevationEccentricity()]),
