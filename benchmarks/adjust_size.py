@@ -21,7 +21,7 @@ import numpy as np
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import make_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -67,7 +67,7 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
         time=np.arange(len(station), dtype=np.float64),
         readings=np.zeros((len(station), 3)),
     )
-    rotation = np.stack([about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
+    rotation = np.stack([rotation_about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
     state = NetworkState(position, rotation, points[names], np.zeros((1, 0)))
     exact = MeasurementModel(recording, make_construction("ideal")).predict(state)
     recording = recording.with_readings(exact)

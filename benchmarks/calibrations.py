@@ -40,9 +40,9 @@ from ltsim.campaigns.rows import ShardTask, make_shard_rows, run_task
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import BLOCK, TrialBatch
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, TrialBatch
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import aligned
+from ltsim.core.notation import align_columns
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import load_scenario
 
@@ -86,15 +86,15 @@ def peers(trials: int) -> None:
 
     n, (*_, unknowns) = len(truth.recording), engine.batch_network.end_indices
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
-    batch = seconds(lambda: engine.calibrate(block), 20) / BLOCK
+    batch = seconds(lambda: engine.calibrate(block), 20) / TRIALS_PER_STREAM
     agreement = max(
         difference(
             engine, block, k, found.instrument_values[0, :, k], truth.state.target_points + found.target_errors[:, :, k]
         )
         for k in range(trials)
     )
-    whole = seconds(everything, 20) / BLOCK
-    drawn = seconds(lambda: (truth.draw_block(SEED, 1), engine.calibrate(block)), 20) / BLOCK
+    whole = seconds(everything, 20) / TRIALS_PER_STREAM
+    drawn = seconds(lambda: (truth.draw_block(SEED, 1), engine.calibrate(block)), 20) / TRIALS_PER_STREAM
     rows = [
         _row("ltsim batch: calibration", batch, batch, agreement),
         _row("ltsim batch: simulation and calibration", drawn, batch, agreement),
@@ -116,7 +116,7 @@ def peers(trials: int) -> None:
             print(f"{name}: left out, it is not installed (pip install pyceres)")
             continue
         rows.append(_peer(name, solver, engine, block, trials, batch))
-    print(aligned(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
+    print(align_columns(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
 
 
 def _peer(
@@ -148,7 +148,7 @@ def parts() -> None:
     network, block = engine.batch_network, truth.draw_block(SEED, 0)
     found = engine.calibrate(block)
     x, predicted = network._first_step(block.reading_deviations, block.length_errors)
-    gradient, cost = np.empty_like(x), np.empty(BLOCK)
+    gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
     rng = np.random.default_rng(0)
     raw = judge.station_clouds(block.reading_deviations)
     steps: dict[str, Callable[[], object]] = {
@@ -167,17 +167,17 @@ def parts() -> None:
         "judge: error against the truth (three times)": lambda: judge.cloud_error(raw),
     }
     print("\nWhere the time goes, us a trial:\n")
-    rows = [[name, f"{1e6 * seconds(step, 20) / BLOCK:.1f}"] for name, step in steps.items()]
-    print(aligned(["step", "us"], rows))
+    rows = [[name, f"{1e6 * seconds(step, 20) / TRIALS_PER_STREAM:.1f}"] for name, step in steps.items()]
+    print(align_columns(["step", "us"], rows))
 
 
 def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
-    truth, every = workshop(), np.arange(BLOCK)
+    truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
     batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_block(SEED, 0)
     found = batch.calibrate(block, every)
     worst = max(batch.largest_difference(block, k, found) for k in range(3))
-    each = seconds(lambda: batch.calibrate(block, every), 5) / BLOCK
+    each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
     single = seconds(lambda: batch.serial_calibrator.calibrate(block, np.array([0])), 3)
     absolute, some = BatchDistance(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
@@ -198,7 +198,7 @@ def other_paths() -> None:
         ["distance objective, absolute, single", f"{1e3 * alone:.0f} ms", f"{1 / alone:.0f}", ""],
         ["geometry of its own for each trial, all included", f"{1e3 * own:.1f} ms", f"{1 / own:.0f}", ""],
     ]
-    print(aligned(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
+    print(align_columns(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
 
 
 def scaling(short: bool) -> None:
@@ -212,7 +212,7 @@ def scaling(short: bool) -> None:
         block = truth.draw_block(SEED, 0)
         engine.calibrate(block)
         prepared = time.process_time() - start
-        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / BLOCK  # type: ignore[misc]
+        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / TRIALS_PER_STREAM  # type: ignore[misc]
         recording = recording_of_trial(truth, block, 0)
         single = seconds(lambda r=recording, e=engine: adjust(r, e.construction), 2)  # type: ignore[misc]
         rows.append(
@@ -222,7 +222,7 @@ def scaling(short: bool) -> None:
         )  # fmt: skip
     print("\nCost against the network: simulation and calibration, one core\n")
     heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
-    print(aligned(heads, rows, text_columns=0))
+    print(align_columns(heads, rows, text_columns=0))
 
 
 def trials_against_time(short: bool) -> None:
@@ -242,7 +242,7 @@ def trials_against_time(short: bool) -> None:
         "\nCost against the number of trials: simulated, calibrated, judged, two of each 4 096 verified by the single"
     )
     print("solver, written; two processes, wall clock\n")
-    print(aligned(["trials", "s", "trials a second"], rows[1:], text_columns=0))
+    print(align_columns(["trials", "s", "trials a second"], rows[1:], text_columns=0))
     largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
 

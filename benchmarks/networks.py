@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.geometry.polar import to_face, to_polar
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
@@ -31,7 +31,7 @@ def room(stations: int, targets: int) -> CellTruth:
     height = 0.3 + 4.5 * (np.arange(targets - 4) + 0.5) / (targets - 4)
     mesh = np.stack([4 * np.cos(around), 4 * np.sin(around), height], axis=1)
     gauge = np.array([[2.9, 0.0, 0.3], [3.2, 0.1, 0.32], [2.95, 0.45, 0.3], [3.25, 0.5, 0.35]])
-    points, rotation = np.vstack([mesh, gauge]), np.array([about_z(float(a)) for a in turn])
+    points, rotation = np.vstack([mesh, gauge]), np.array([rotation_about_z(float(a)) for a in turn])
     station, target = (a.ravel() for a in np.meshgrid(np.arange(stations), np.arange(targets), indexing="ij"))
     local = np.einsum("nji,nj->ni", rotation[station], points[target] - position[station])
     face = np.ones(len(station), dtype=np.int64)
@@ -64,7 +64,7 @@ def room(stations: int, targets: int) -> CellTruth:
         instrument_means=0 * sigma,
         instrument_sigmas=sigma,
         noise_sigmas=recording.sigma(),
-        reference_lengths=ReferenceLengths.of(recording),
+        reference_lengths=ReferenceLengths.from_recording(recording),
         length_end_names=names,
     )
     return CellTruth(recording, state, population)

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.arrays import Floats
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import NetworkState
@@ -51,7 +51,7 @@ class DenseProblem:
 
     @cached_property
     def _gauge(self) -> GaugeRows:
-        return GaugeRows.of(self.recording)
+        return GaugeRows.from_recording(self.recording)
 
     @cached_property
     def _sigma(self) -> Floats:
@@ -107,8 +107,8 @@ class DenseProblem:
         """Predicted less observed (m,), over sigma."""
         raw, _, _, points, values = self._evaluated(x)
         gap = raw - self.recording.readings
-        gap[:, 1:] = wrap(gap[:, 1:])
-        lengths = (self._gauge.predict(points) - self._gauge.length) / self._gauge.sigma
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
+        lengths = (self._gauge.predict(points) - self._gauge.lengths) / self._gauge.sigma
         return np.concatenate([(gap / self._sigma).ravel(), lengths, values / self._prior_sigma])
 
     def jacobian(self, x: Floats) -> Floats:
@@ -134,8 +134,8 @@ class DenseProblem:
         gauge = self._gauge
         unit = gauge.unit_vectors(points) / gauge.sigma[:, None]
         at = start + np.arange(len(gauge))[:, None]
-        design[at, poses + 3 * gauge.first[:, None] + np.arange(3)] = unit
-        design[at, poses + 3 * gauge.second[:, None] + np.arange(3)] = -unit
+        design[at, poses + 3 * gauge.first_targets[:, None] + np.arange(3)] = unit
+        design[at, poses + 3 * gauge.second_targets[:, None] + np.arange(3)] = -unit
 
 
 Solver = Callable[[DenseProblem], Floats]

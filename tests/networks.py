@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, cloud_error, measured_points
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -96,7 +96,7 @@ def network(
         readings=np.full((len(rows), 3), np.nan),
     )
     instrument = np.zeros(built.n_parameters) if values is None else values
-    rotation = np.stack([about_z(float(yaw)) for yaw in YAWS[:stations]])
+    rotation = np.stack([rotation_about_z(float(yaw)) for yaw in YAWS[:stations]])
     state = NetworkState(STATIONS[:stations], rotation, points, instrument[None])
     readings = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(readings)

@@ -15,7 +15,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, ModelError, RecordError, SetupError
-from ltsim.core.results import MAX_SHOWN, Result
+from ltsim.core.results import MAX_NOTEBOOK_ROWS, Result
 
 SMALL_PLAN = """
 format = "ltsim-plan/1"
@@ -101,8 +101,8 @@ def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
     hostile = recording.setup.model_copy(update={"title": "<script>alert(1)</script>"})
     page = replace(recording, setup=hostile)._repr_html_()
     assert "<script>" not in page
-    assert page.count("<tr>") == MAX_SHOWN + 1
-    assert f"and {len(recording) - MAX_SHOWN} more rows" in page
+    assert page.count("<tr>") == MAX_NOTEBOOK_ROWS + 1
+    assert f"and {len(recording) - MAX_NOTEBOOK_ROWS} more rows" in page
 
 
 def test_an_empty_table_is_shown_as_nothing():

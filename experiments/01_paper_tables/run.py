@@ -17,7 +17,7 @@ from ltsim.adjustment.evaluation.criteria import (
 from ltsim.campaigns.rows import CellContext, TrialBlock
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import measure_nominal_points
@@ -132,7 +132,7 @@ def figure_rows(columns: pd.DataFrame, table: str) -> list[TrialDistribution]:
 
 def run(given: Options) -> Made:
     campaign, cells = cells_of(given)
-    found = list(parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
+    found = list(run_parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [
             row

@@ -13,7 +13,7 @@ from ltsim.campaigns.rows import CellContext, TrialBlock
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
@@ -94,7 +94,7 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
 
 def run(given: Options) -> Made:
     campaign, (cell,) = cells_of(given)
-    found = list(parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
+    found = list(run_parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
     table, rows = [], []
     for percent, methods in zip(PERCENT, found, strict=True):
         for title, columns in methods.items():

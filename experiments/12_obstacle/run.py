@@ -53,7 +53,7 @@ def run(given: Options) -> Made:
     )
     rows = [row(name, scenario, survey) for name, scenario, survey in layouts]
     show_table(given.out / "layouts.csv", rows)
-    lost = make_visibility(full).lost(tuple(full.stations), full.target_names)
+    lost = make_visibility(full).invisible_pair_sentences(tuple(full.stations), full.target_names)
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (("paper_machine", full), ("plan_machine", scenario_of_plan(plans["machine"]))):
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))

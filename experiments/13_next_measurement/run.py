@@ -8,13 +8,13 @@ import numpy as np
 from experiments.common import Made, Options, Row, show_table
 from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.adjustment.remedies.remedy import Remedy
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.detectability import open_question
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
 from ltsim.recordings import Recording
@@ -31,7 +31,7 @@ def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Reco
     if remedy.added_setup_on_plan is not None:
         place, yaw = remedy.added_setup_on_plan
         position = np.vstack([position, place])
-        rotation = np.concatenate([rotation, about_z(yaw)[None]])
+        rotation = np.concatenate([rotation, rotation_about_z(yaw)[None]])
     order = [truth.target_names.index(name) for name in recording.targets]
     values = np.array([[truth.instrument_values[name] for name in construction.parameter_names]])
     state = NetworkState(position, rotation, truth.target_points[order], values)
@@ -98,6 +98,6 @@ def run(given: Options) -> Made:
     config = given.config
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
-    rows = list(parallel(one, tasks, given.jobs))
+    rows = list(run_parallel(one, tasks, given.jobs))
     show_table(given.out / "cases.csv", rows)
     return Made(config["seed"], count)

@@ -8,7 +8,7 @@ from ltsim.campaigns.cloud_kernels import align_rigidly
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.layout_scenario import scenario_of_plan
 from ltsim.planning.loading import load_plan
@@ -46,7 +46,7 @@ def squares(scenario: Scenario, weights: dict[str, float], number: int, width: i
 def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials: int, jobs: int) -> Row:
     """How much smaller the error of the other targets is after the change, with its interval over batches."""
     tasks = [(scenario, weights, *batch) for scenario in scenarios for batch in batches(trials, 1000)]
-    parts = list(parallel(squares, tasks, jobs))
+    parts = list(run_parallel(squares, tasks, jobs))
     half = len(parts) // 2
     before, after = np.concatenate(parts[:half]), np.concatenate(parts[half:])
     value = np.sqrt(before.mean()) - np.sqrt(after.mean())

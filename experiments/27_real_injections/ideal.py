@@ -19,7 +19,7 @@ from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.effects.signature import CandidateEffect
@@ -148,7 +148,7 @@ def asked(network: Row, settings: Row) -> list[Row]:
         except ModelError:
             continue
         change = np.nan_to_num(made.readings - weighted.readings)
-        change[:, 1:] = wrap(change[:, 1:])
+        change[:, 1:] = wrap_angle(change[:, 1:])
         signal = space.project(space.whiten(change[:, :, None])[:, 0])
         noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.n_rows)
         for name, observer in observers.items():

@@ -13,7 +13,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures, catalogue_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import TRIALS, NullEnsemble
@@ -85,7 +85,7 @@ def run(given: Options) -> Made:
     if "tables" not in given.words:
         more = {"truth_sha256": make.make(cases, WORK, given.jobs)}
         truth = json.loads((WORK / make.TRUTH).read_text(encoding="utf-8"))
-        told = list(parallel(chances, [(name,) for name in truth], given.jobs))
+        told = list(run_parallel(chances, [(name,) for name in truth], given.jobs))
         rows: list[Row] = []
         for what in dict.fromkeys(key for one in told for key in one):
             for strength in sorted({t["strength"] for t in truth.values()}):

@@ -17,10 +17,10 @@ from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, option
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.alignment import align_robustly
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
@@ -65,7 +65,7 @@ def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_point
     adjusted = adjust(recording)
     at = np.array([recording.targets.index(name) for name in names])
     determined = ~np.isin(np.array(names), adjusted.undetermined_targets)
-    turn, _ = robust_align(adjusted.state.target_points[at[determined]], declared_points[determined])
+    turn, _ = align_robustly(adjusted.state.target_points[at[determined]], declared_points[determined])
     lines = plumb_directions(adjusted.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
@@ -88,7 +88,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     three = (origin, x_axis, xy_plane)
     for name in three:
         if name not in recording.targets:
-            raise RecordError(f"the axes name the target '{shown(name)}', which was never measured")
+            raise RecordError(f"the axes name the target '{quoted_text(name)}', which was never measured")
     _require_free_frame(recording)
     a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
@@ -112,13 +112,17 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
     listed, targets, count = read_points(path, strict=False), dict(recording.setup.targets), 0
-    for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
+    for name, place, covariance, line in zip(
+        listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
+    ):
         is_given = np.isfinite(place)
         if name not in recording.targets or not is_given.any():
             continue
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
-            message = f"has no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            message = (
+                f"has no standard deviation of {quoted_text(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            )
             raise RecordError(f"{message}; give coordinates without weight by --frame", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
@@ -147,7 +151,7 @@ def _require_network_shape(network_points: Floats, declared_points: Floats, sour
     """
     mirror = network_points * [1.0, 1.0, -1.0]
     try:
-        motions = robust_align(network_points, declared_points), robust_align(mirror, declared_points)
+        motions = align_robustly(network_points, declared_points), align_robustly(mirror, declared_points)
     except NetworkError:
         raise RecordError("its targets lie on one line, expected at least three that do not", file=source) from None
     typical = float(np.median(alignment_distances(network_points, declared_points, motions[0])))

@@ -16,7 +16,7 @@ from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import exact_target_change
@@ -83,7 +83,7 @@ def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) 
     local = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
     turned = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local)
     placed: Floats = turned + adjustment.state.station_positions[station]
-    lift = adjustment.problem.model.geometry(adjustment.state).lift
+    lift = adjustment.problem.model.geometry(adjustment.state).reflector_offsets
     return placed if lift is None else placed - lift[rows]
 
 
@@ -171,7 +171,7 @@ def _unit_and_face_errors(adjustment: Adjustment, rows: Bools) -> Iterator[Corre
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
-        readings = slip.corrected(recording.readings)
+        readings = slip.without_error(recording.readings)
         at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
         at = at[_target_distances(adjustment, readings[at], at) < MAX_CORRECTED_DISTANCE]
         if len(at):
@@ -203,7 +203,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.at_station(name):
             readings = recording.readings.copy()
-            readings[rows] = effect.transcription_error.corrected(readings[rows])
+            readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)
             if _cloud_misfits(corrected, [s])[s] < MIN_CLOUD_MISFIT:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
@@ -273,7 +273,7 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
             continue
         here, there = cloud[b][common], cloud[a][common]
         try:
-            gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, robust_align(here, there))))
+            gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
         except NetworkError:
             continue
     is_compared = np.isfinite(gaps).any(axis=1)

@@ -16,7 +16,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, unknown_name
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
@@ -80,7 +80,9 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
             break
         centre = tied.points[has_goal.any(axis=1)].mean(axis=0)
         free, grown = motions_about_centre(problem.free_motions, centre), _scale_displacement(problem)
-        motion = np.hstack([rigid_motion(tied.points, centre) @ free, grown(tied.points - centre)])[has_goal.ravel()]
+        motion = np.hstack([rigid_motion_design(tied.points, centre) @ free, grown(tied.points - centre)])[
+            has_goal.ravel()
+        ]
         gap = (tied.approximate_points - tied.points)[has_goal]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
         shift, turn = (free @ amount[: free.shape[1]]).reshape(2, 3)
@@ -160,7 +162,7 @@ class InnerDatum:
             (unknowns.target_columns, state.target_points),
             (unknowns.pose_columns[:, :3], state.station_positions),
         ):
-            motion[columns.ravel()] = np.hstack([rigid_motion(places, centre) @ free, grown(places - centre)])
+            motion[columns.ravel()] = np.hstack([rigid_motion_design(places, centre) @ free, grown(places - centre)])
         return replace(
             cls.from_columns(motion, tied.columns[tied.defines_datum], factor.covariance_columns),
             point_names=tuple(names),

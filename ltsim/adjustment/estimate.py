@@ -27,8 +27,8 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import ADJUSTED_POINTINGS
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import robust_align
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.alignment import align_robustly
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
@@ -244,7 +244,7 @@ def fit_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, t
     recording = adjustment.recording
     declared = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
     here = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
-    off = alignment_distances(here, declared, robust_align(here, declared))
+    off = alignment_distances(here, declared, align_robustly(here, declared))
     use = off <= max(MIN_GROSS_MISCLOSURE_RATIO * float(np.median(off)), MIN_GROSS_MISCLOSURE)
     use |= use.sum() <= len(names) / 2
     for _ in range(2 * len(names)):
@@ -280,7 +280,7 @@ def _axes_tests(
     gap, places = declared - state.target_points[at], state.target_points[at]
     centre = places[used_mask].mean(axis=0)
     free = motions_about_centre(adjusted.problem.free_motions, centre)
-    motion = (rigid_motion(places, centre) @ free).reshape(-1, 3, free.shape[1])
+    motion = (rigid_motion_design(places, centre) @ free).reshape(-1, 3, free.shape[1])
     carried = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
     held = carried @ np.swapaxes(carried, 1, 2)
     square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))

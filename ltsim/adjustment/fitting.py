@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.adjustment.sight import FitReadings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
+from ltsim.geometry.rotations import cross_matrix, from_rotation_vector, rotation_about_z
 
 MIN_DAMPING = 1e-10
 """Smallest damping, relative to the diagonal of the normal equations, which keeps them regular for undetermined
@@ -170,7 +170,7 @@ def _candidate_positions(points: Floats) -> Floats:
 
 
 def _candidate_rotations(is_level: bool) -> Floats:
-    yaws = np.stack([about_z(a) for a in EIGHT_AZIMUTHS])
+    yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
     if is_level:
         return yaws
     sides = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])

@@ -14,9 +14,9 @@ from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.geometry.alignment import align, robust_align
+from ltsim.geometry.alignment import align_rigidly, align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z, smallest_turn
+from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
@@ -98,7 +98,7 @@ class DeclaredFrame:
         """
         here, there = self.common_places(position, points)
         if len(here) >= 3 and not are_collinear(there):
-            return robust_align(here, there)
+            return align_robustly(here, there)
         height = float(np.mean(there[:, 2] - (here @ turn.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
             both = np.isfinite(points).all(axis=1) & np.isfinite(self.plan_points).all(axis=1)
@@ -135,7 +135,7 @@ class DeclaredFrame:
         if not len(planned) or not np.isfinite(self.plan_yaws[planned[0]]):
             return None
         ahead = rotation[planned[0], :, 0]
-        turn = about_z(float(self.plan_yaws[planned[0]] - np.arctan2(ahead[1], ahead[0])))
+        turn = rotation_about_z(float(self.plan_yaws[planned[0]] - np.arctan2(ahead[1], ahead[0])))
         return turn, self.plan_positions[planned[0]] - turn @ position[planned[0]]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
@@ -154,7 +154,7 @@ class DeclaredFrame:
         rests = [
             np.linalg.norm(
                 alignment_distances(
-                    network_points * factors, declared_points, align(network_points * factors, declared_points)
+                    network_points * factors, declared_points, align_rigidly(network_points * factors, declared_points)
                 )
             )
             for factors in both
@@ -187,7 +187,7 @@ class DeclaredFrame:
         has_place = np.isfinite(there).all(axis=1)
         if has_place.sum() < 3 or are_collinear(there[has_place]):
             return points, False
-        rotation, shift = align(here[has_place], there[has_place])
+        rotation, shift = align_rigidly(here[has_place], there[has_place])
         return points @ rotation.T + shift, True
 
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
@@ -201,7 +201,7 @@ class DeclaredFrame:
         if not chosen.any():
             return None
         ahead = rotation[chosen, :, 0]
-        return about_z(
+        return rotation_about_z(
             float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0]))))))
         )
 
@@ -212,7 +212,7 @@ class DeclaredFrame:
             return np.eye(3)
         axis = (rotation[chosen] @ VERTICAL).mean(axis=0)
         goal = self.marks.plumb_directions[chosen].mean(axis=0)
-        return smallest_turn(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
+        return smallest_rotation(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
 def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
@@ -286,7 +286,7 @@ def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
         raise NetworkError("an alignment about the vertical needs points with different horizontal positions")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
-    rotation = about_z(float(yaw))
+    rotation = rotation_about_z(float(yaw))
     return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.core.arrays import Floats
-from ltsim.recordings.coordinates import AXES, covariance_text
+from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
 
 COVARIANCE_FILE = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
@@ -47,6 +47,6 @@ def covariance_csv(
     if added_covariance is not None:
         covariance = covariance + added_covariance
     determined = np.isfinite(np.diag(covariance))
-    coordinates = [f"{name}.{axis}" for name in names for axis in AXES]
+    coordinates = [f"{name}.{axis}" for name in names for axis in AXIS_NAMES]
     rows = np.flatnonzero(determined)
     return covariance_text([coordinates[i] for i in rows.tolist()], covariance[np.ix_(rows, rows)])

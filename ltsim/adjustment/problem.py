@@ -21,7 +21,7 @@ from ltsim.adjustment.rows import (
 )
 from ltsim.adjustment.structure import NetworkRows, UnknownColumns
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
 from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, SparsityPattern, to_dense
@@ -74,7 +74,7 @@ class NetworkProblem(NetworkRows):
         marks = StationMarks.from_recording(recording)
         used = recording.usable if reading_mask is None else recording.usable & reading_mask
         gauge, control, levels = (
-            GaugeRows.of(recording),
+            GaugeRows.from_recording(recording),
             ControlRows.from_recording(recording),
             LevelRows.from_recording(recording, used),
         )
@@ -126,7 +126,7 @@ class NetworkProblem(NetworkRows):
     def reading_residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN if not measured."""
         gap = self.model.recording.readings - readings
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
 
     def whitened_residuals(self, state: NetworkState) -> Floats:
@@ -153,7 +153,7 @@ class NetworkProblem(NetworkRows):
     def length_residuals(self, state: NetworkState) -> Floats:
         """Declared minus adjusted lengths (g,) [m]."""
         return (
-            self.gauge_rows.length
+            self.gauge_rows.lengths
             - self.gauge_rows.predict(state.target_points)
             - self._reference_length_design(state) @ state.extra_parameters
         )
@@ -205,8 +205,8 @@ class NetworkProblem(NetworkRows):
         )
         pointings = np.concatenate([*blocks, np.tile(at.extra_columns, (len(recording), 1))], axis=1)
         ends = (
-            at.target_columns[gauge.first],
-            at.target_columns[gauge.second],
+            at.target_columns[gauge.first_targets],
+            at.target_columns[gauge.second_targets],
             np.tile(at.extra_columns, (len(gauge), 1)),
         )
         anchors = at.pose_columns[self.structure.datum_stations].ravel()
@@ -283,7 +283,7 @@ class NetworkProblem(NetworkRows):
 
     def _reference_length_design(self, state: NetworkState) -> Floats:
         """Change (g, q) of the reference lengths per unit of the additional effects' parameters."""
-        ends = self.gauge_rows.first, self.gauge_rows.second
+        ends = self.gauge_rows.first_targets, self.gauge_rows.second_targets
         columns = [effect.gauge_design(*ends, state.target_points) for effect in self.model.extra_effects]
         return np.hstack([np.zeros((len(self.gauge_rows), 0)), *columns])
 

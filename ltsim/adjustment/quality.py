@@ -17,9 +17,9 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.alignment import align
-from ltsim.geometry.polar import wrap
-from ltsim.recordings.transcription_errors import GON, UNIT_ERRORS, TranscriptionError
+from ltsim.geometry.alignment import align_rigidly
+from ltsim.geometry.polar import wrap_angle
+from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
 MAX_UNUSED_FRACTION = 0.1
 """Fraction of unused pointings below which another unit of the readings counts as correct."""
@@ -43,7 +43,7 @@ MIN_CURVATURE_BOUND = 0.03
 """Upper bound of the curvature below which it is not computed for a station."""
 TRIED_UNIT_ERRORS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
-    TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
+    TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
 )
 """Errors of unit or convention of a whole file that are tried; those that shrink lengths are excluded, because any
 network then seems to fit.
@@ -125,7 +125,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
 def _rigid_fit_misfit(points: Floats, goals: Floats) -> float:
     """Root sum of squares [m] after a rigid fit."""
     try:
-        return float(np.linalg.norm(alignment_distances(points, goals, align(points, goals))))
+        return float(np.linalg.norm(alignment_distances(points, goals, align_rigidly(points, goals))))
     except NetworkError:
         return float("inf")
 
@@ -143,7 +143,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
         most = MIN_SIGMA0_RATIO * adjustment.sigma0
     for slip in TRIED_UNIT_ERRORS:
         try:
-            adjusted = adjust(recording.with_readings(slip.corrected(recording.readings)))
+            adjusted = adjust(recording.with_readings(slip.without_error(recording.readings)))
         except LtsimError:
             continue
         if (
@@ -151,7 +151,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
             and adjusted.sigma0 < most
             and _is_unused(adjusted).mean() < MAX_UNUSED_FRACTION
         ):
-            return f"{slip.content}, not {slip.expected}"
+            return f"{slip.wrong_content}, not {slip.right_content}"
     return ""
 
 
@@ -349,6 +349,6 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
         gaps = [problem.model.predict(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
         gaps = [gap - problem.model.predict(state) for gap in gaps]
         for gap in gaps:
-            gap[:, 1:] = wrap(gap[:, 1:])
+            gap[:, 1:] = wrap_angle(gap[:, 1:])
         bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.sigma)[problem.used_readings]))
     return bend

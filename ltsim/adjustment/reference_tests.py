@@ -315,9 +315,8 @@ def _contradicting_group(
     """First of the wrong reference values with those that contradict it, if too few exist to identify the wrong one."""
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
-        if 0 < len(others) < MIN_VALUES_FOR_TYPICAL_ERROR and (
-            rivals := tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)
-        ):
+        rivals = tuple(other.name for other in others if other.normalised_error > MAX_NORMALISED_ERROR)
+        if rivals and len(others) < MIN_VALUES_FOR_TYPICAL_ERROR:
             return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
 

@@ -11,7 +11,7 @@ from ltsim.adjustment.rows import ControlRows
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.references import UNKNOWN_PPM
+from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of reference value."""
@@ -58,7 +58,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
     recording, first, gauge = problem.model.recording, int(problem.used_readings.sum()), problem.gauge_rows
     shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
-        name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
+        name = f"{recording.targets[gauge.first_targets[i]]}-{recording.targets[gauge.second_targets[i]]}"
         reached = np.flatnonzero(shown[:, i])
         column = shown[reached, i : i + 1]
         yield ReferenceValueRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
@@ -104,7 +104,7 @@ def common_scale(problem: NetworkProblem, state: NetworkState) -> Iterator[Refer
     """Common scale of all reference lengths, if there are several: error of their temperature or reference standard."""
     gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
     if felt.sum() > 1:
-        shown = gauge.decorrelate(np.where(felt, gauge.length, 0.0)[:, None])
+        shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
         weight, gap = float(np.sum(shown**2)), gauge.decorrelate(np.where(felt, problem.length_residuals(state), 0.0))
         rows, sigma = int(problem.used_readings.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
         yield ReferenceValueRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
@@ -134,7 +134,9 @@ def drop_reference(recording: Recording, test: ReferenceValue) -> Recording:
     setup, name = recording.setup, test.name
     if test.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
-        cleared: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": lengths}
+        cleared: dict[str, object] = (
+            {"sigma_scale_ppm": MIN_UNKNOWN_SCALE_PPM} if test.kind == "scale" else {"distance": lengths}
+        )
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif test.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.called != name)}

@@ -88,7 +88,7 @@ class ResidualSpace:
     def whitened_signature(self, law: Signature) -> Floats:
         """Whitened signature (m, q) of a law, before projection."""
         gauge = self.adjustment.problem.gauge_rows
-        lengths = law.gauge_design(gauge.first, gauge.second, self.adjustment.state.target_points)
+        lengths = law.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(law.design(self.sightings), lengths)
 
     def project(self, rows: Floats) -> Floats:

@@ -12,13 +12,13 @@ import scipy.linalg
 from ltsim.adjustment.marks import StationMarks
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
-from ltsim.geometry.polar import wrap
-from ltsim.geometry.rigid import COLLINEAR_RATIO, rigid_motion
-from ltsim.geometry.rotations import cross_matrix, perpendicular
+from ltsim.geometry.polar import wrap_angle
+from ltsim.geometry.rigid import MAX_COLLINEAR_RATIO, rigid_motion_design
+from ltsim.geometry.rotations import cross_matrix, perpendicular_vectors
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.references import ReferenceLengths, places_of
-from ltsim.recordings.setup import ReferenceDifference, Target, symmetric
+from ltsim.recordings.references import ReferenceLengths, mark_indices
+from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
@@ -38,9 +38,9 @@ class GaugeRows(ReferenceLengths):
     @cached_property
     def correlation_root(self) -> Floats | None:
         """Lower triangular root (g, g) of the correlation of the lengths; None for uncorrelated ones."""
-        if not self.shared:
+        if not self.shared_error_changes:
             return None
-        together = np.array([*self.shared.values()]) / self.sigma
+        together = np.array([*self.shared_error_changes.values()]) / self.sigma
         correlation = together.T @ together
         np.fill_diagonal(correlation, 1.0)
         return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
@@ -64,15 +64,15 @@ class GaugeRows(ReferenceLengths):
         )
 
     def __len__(self) -> int:
-        return len(self.length)
+        return len(self.lengths)
 
     def predict(self, points: Floats) -> Floats:
         """Lengths (g,) [m] between the targets at `declared_points` (T, 3)."""
-        return np.linalg.norm(points[self.first] - points[self.second], axis=1)
+        return np.linalg.norm(points[self.first_targets] - points[self.second_targets], axis=1)
 
     def unit_vectors(self, points: Floats) -> Floats:
         """Derivative (g, 3) of the lengths: unit vectors from the second to the first target, zero if coincident."""
-        gap = points[self.first] - points[self.second]
+        gap = points[self.first_targets] - points[self.second_targets]
         length = np.linalg.norm(gap, axis=1, keepdims=True)
         return gap / np.where(length > 0.0, length, 1.0)
 
@@ -160,7 +160,7 @@ def _whitening_matrix(target: Target | ReferenceDifference, declared_components:
     if target.known_covariance_mm2 is None:
         return np.diag(declared_components / (target.known_sigma_mm * MILLIMETRE))
     at, root = np.ix_(declared_components, declared_components), np.zeros((3, 3))
-    covariance = symmetric(target.known_covariance_mm2)[at] * MILLIMETRE**2
+    covariance = symmetric_matrix(target.known_covariance_mm2)[at] * MILLIMETRE**2
     root[at] = np.linalg.inv(np.linalg.cholesky(covariance))
     return root
 
@@ -183,7 +183,7 @@ class DifferenceRows(ControlRows):
     @classmethod
     def from_marks(cls, recording: Recording, marks: StationMarks) -> DifferenceRows:
         """Rows of the differences of a recording whose ends are measured or known."""
-        places, count = places_of(recording), len(recording.targets)
+        places, count = mark_indices(recording), len(recording.targets)
         last, differences = count + len(recording.stations), recording.setup.differences
         differences = tuple(
             difference for difference in differences if {difference.from_, difference.to} <= places.keys()
@@ -247,7 +247,7 @@ class DifferenceRows(ControlRows):
         )
         place = np.where(self.start_places == self.origin_index, 1.0, -1.0)[:, None] * self.declared_points
         arm = self.declared_points / np.where(size > 0.0, size, 1.0)
-        moved = rigid_motion(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(-1, 3, 6)
+        moved = rigid_motion_design(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(-1, 3, 6)
         moved[~tied, :, :3] = 0.0
         return moved[self.declared_components]
 
@@ -273,7 +273,7 @@ class LevelRows:
         rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
         station = np.array([i for i, _ in rows], dtype=np.int64)
         vertical = plumb_directions(recording)[station]
-        sideways, back = perpendicular(vertical)
+        sideways, back = perpendicular_vectors(vertical)
         sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
         return cls(station, sigma, vertical, np.stack([-back, sideways], axis=1))
 
@@ -324,7 +324,7 @@ class YawRows:
     def yaw_residuals(self, rotation: Floats) -> Floats:
         """Declared minus adjusted yaws (y,) [rad]."""
         ahead = rotation[self.station_indices, :, 0]
-        return wrap(self.yaw - np.arctan2(ahead[:, 1], ahead[:, 0]))
+        return wrap_angle(self.yaw - np.arctan2(ahead[:, 1], ahead[:, 0]))
 
     def derivative(self, rotation: Floats) -> Floats:
         """Derivative (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
@@ -350,7 +350,8 @@ def free_motions(
     centre = points.mean(axis=0)
     reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
     rows = [
-        rigid_motion((group.declared_points - centre) / reach)[group.declared_components.ravel()] for group in controls
+        rigid_motion_design((group.declared_points - centre) / reach)[group.declared_components.ravel()]
+        for group in controls
     ]
     if len(differences):
         rows.append(differences.motion_derivatives(centre, reach))
@@ -364,7 +365,7 @@ def free_motions(
     if not rows:
         return np.eye(6)
     _, singular, right = np.linalg.svd(np.vstack(rows))
-    rank = int(np.sum(singular > COLLINEAR_RATIO * singular.max(initial=0.0)))
+    rank = int(np.sum(singular > MAX_COLLINEAR_RATIO * singular.max(initial=0.0)))
     free = right[rank:].T
     free[3:] /= reach
     free /= np.linalg.norm(free, axis=0, keepdims=True)

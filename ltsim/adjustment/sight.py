@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
 from ltsim.physics.model.measurement import reduce_to_horizontal, reflector_offsets
 from ltsim.recordings.recording import Recording
 
@@ -75,7 +75,7 @@ class FitReadings:
         reduce_to_horizontal(polar, (by,), np.tile(self.is_horizontal, size))
         by, polar = by.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
         gap = self.readings - polar
-        gap[:, :, 1:] = wrap(gap[:, :, 1:])
+        gap[:, :, 1:] = wrap_angle(gap[:, :, 1:])
         scale = np.stack([1.0 / range_, np.cos(polar[:, :, 2]), np.ones_like(range_)], axis=2) / APPROXIMATE_SIGMA
         gap, by = gap * scale, by * scale[..., None]
         unread = np.isnan(self.readings)

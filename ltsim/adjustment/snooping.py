@@ -15,7 +15,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import iterate_reweighted
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import determines_pose
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
@@ -90,7 +90,7 @@ def drop_undetermined(problem: NetworkProblem, state: NetworkState) -> NetworkPr
         loose = is_undetermined_target(problem, state)
         gauge = problem.gauge_rows
         reached = problem.structure.is_unmeasured_target | loose
-        idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
+        idle = (reached[gauge.first_targets] | reached[gauge.second_targets]) & np.isfinite(gauge.sigma)
         use = problem.used_readings & ~loose[problem.model.recording.target][:, None]
         differences = problem.difference_rows.subset(~problem.is_open_difference(reached))
         if (
@@ -123,7 +123,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
     gauge, control = problem.gauge_rows, problem.control_rows
     along = gauge.unit_vectors(state.target_points) / gauge.sigma[:, None]
-    for end in (gauge.first, gauge.second):
+    for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.place_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
     for end in problem.difference_rows.ends:
@@ -202,7 +202,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     """Misclosure (n,) of each pointing divided by the limit for gross errors."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     range_ = model.geometry(state).range_
     gap[:, 1] *= range_ * np.cos(predicted[:, 2])
     gap[:, 2] *= range_

@@ -17,12 +17,12 @@ from ltsim.adjustment.frame import DeclaredFrame, StationTargetPairs, points_wit
 from ltsim.adjustment.rows import VERTICAL
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.start_errors import require_connected_stations, require_located_target
-from ltsim.core.arrays import Bools, Floats, Ints, grouped
+from ltsim.core.arrays import Bools, Floats, Ints, group_rows
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing
-from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.alignment import align_robustly
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z, smallest_turn
+from ltsim.geometry.rotations import rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")
@@ -128,8 +128,6 @@ class NetworkInitialiser:
         place = self._frame.marks.position_from_mark(station, self._positions, self._target_points())
         return place if np.isfinite(place).all() else None
 
-    # --- steps -----------------------------------------------------------------------------------------------------
-
     def _join_station(self, station: int, position: Floats, rotation: Floats) -> None:
         self._positions[station], self._rotations[station] = position, rotation
         self._is_joined[station] = True
@@ -153,7 +151,7 @@ class NetworkInitialiser:
             pairs = np.arange(len(self._pairs))[self._pairs.of_station(station)]
             pairs = pairs[have[self._pairs.target_indices[pairs]]]
             goal = self._targets_with_coordinates(self._pairs.target_indices[pairs]) + self._pair_offsets[pairs]
-            fit = robust_align if shared[station] >= 3 else upright_alignment
+            fit = align_robustly if shared[station] >= 3 else upright_alignment
             try:
                 rotation, position = fit(self._pairs.local_points[pairs], goal)
             except NetworkError:
@@ -168,7 +166,7 @@ class NetworkInitialiser:
         for station in oriented if self._is_in_frame else ():
             stand = self._position_from_mark(station)
             if stand is not None:
-                self._join_station(station, stand, about_z(float(self._frame.plan_yaws[station])))
+                self._join_station(station, stand, rotation_about_z(float(self._frame.plan_yaws[station])))
                 return True
         return False
 
@@ -181,7 +179,7 @@ class NetworkInitialiser:
         """Location of targets that joined stations measured incompletely, and of marks under joined stations."""
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
-        for target, rows in grouped(recording.target, np.flatnonzero(usable)):
+        for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
             if self._is_worth_trying(-1 - target, len(rows)):
                 point = self._locate_point(rows)
                 if point is not None:
@@ -214,7 +212,7 @@ class NetworkInitialiser:
         """Addition of a station by a fit of all its readings to known targets."""
         places, recording = self._target_points(), self._recording
         usable = ~self._is_joined[recording.station] & np.isfinite(places[recording.target, 0])
-        groups = grouped(recording.station, np.flatnonzero(usable))
+        groups = group_rows(recording.station, np.flatnonzero(usable))
         for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front_readings[group[1]]).sum()):
             stand = self._position_from_mark(station)
             if not self._is_worth_trying(station, 2 * len(rows) + (stand is not None)):
@@ -248,7 +246,8 @@ class NetworkInitialiser:
                 rays = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
                 place = meeting_point(places[recording.target[rows]], rays)
                 if place is not None:
-                    self._join_station(station, place + self._frame.marks.instrument_offsets[station], about_z(yaw))
+                    position = place + self._frame.marks.instrument_offsets[station]
+                    self._join_station(station, position, rotation_about_z(yaw))
                     return True
         return False
 
@@ -306,9 +305,9 @@ class NetworkInitialiser:
         else:
             return
         if np.linalg.norm(up) > 0.0:
-            turn = smallest_turn(VERTICAL, up / np.linalg.norm(up))
+            turn = smallest_rotation(VERTICAL, up / np.linalg.norm(up))
             for station in np.flatnonzero(~reads_angles & self._is_joined):
-                self._rotations[station] = turn @ about_z(float(np.nan_to_num(self._frame.plan_yaws[station])))
+                self._rotations[station] = turn @ rotation_about_z(float(np.nan_to_num(self._frame.plan_yaws[station])))
 
     # --- beginnings ------------------------------------------------------------------------------------------------
 
@@ -326,7 +325,7 @@ class NetworkInitialiser:
         first = 0 if counts[0] >= 3 else int(np.argmax(counts))
         rotation = np.eye(3)
         if self._frame.is_levelled[first]:
-            rotation = smallest_turn(VERTICAL, self._frame.marks.plumb_directions[first])
+            rotation = smallest_rotation(VERTICAL, self._frame.marks.plumb_directions[first])
             self._is_levelled = True
         self._join_station(first, np.zeros(3), rotation)
 
@@ -352,7 +351,7 @@ class NetworkInitialiser:
             rows = np.flatnonzero(self._recording.station == station)
             x, y, _ = (self._located_targets[self._recording.target[rows]] - declared[station]).T
             turns = np.exp(1j * (np.arctan2(y, x) - self._front_readings[rows, 1]))
-            self._join_station(station, declared[station], about_z(float(np.angle(np.nansum(turns)))))
+            self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
         """Start with the plan from directions of upright stations and from horizontal lengths."""
@@ -375,7 +374,7 @@ class NetworkInitialiser:
         if in_frame:
             self._begin_with_frame()
         for s in np.flatnonzero(np.isfinite(yaw)).tolist():
-            self._join_station(s, places[stands[s]] + marks.instrument_offsets[s], about_z(float(yaw[s])))
+            self._join_station(s, places[stands[s]] + marks.instrument_offsets[s], rotation_about_z(float(yaw[s])))
         located = self._located_targets
         self._located_targets = np.where(np.isnan(located), places[: len(located)], located)
         self._is_in_frame, self._is_levelled = in_frame, True
@@ -383,8 +382,8 @@ class NetworkInitialiser:
     @property
     def undetermined_lines_text(self) -> str:
         """Text of the lines of the plan without a determined length."""
-        names = [*self._recording.targets, *self._recording.stations]
-        lines = listing([f"{names[a]}-{names[b]}" for a, b in self._open_lines])
+        ends = [*self._recording.targets, *self._recording.stations]
+        lines = listing([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, undetermined_lines: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
@@ -392,8 +391,8 @@ class NetworkInitialiser:
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
         targets = self._pairs.target_indices[self._pairs.of_station(nearest)]
-        placed = points[targets[self._has_coordinates[targets]]]
-        require_connected_stations(self._recording, self._is_joined, placed, undetermined_lines)
+        shared = points[targets[self._has_coordinates[targets]]]
+        require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines)
         require_located_target(self._recording, self._has_coordinates)
         lost = np.asarray(np.isnan(points).any(axis=1))
         points = np.where(lost[:, None], points[~lost].mean(axis=0), points)

@@ -59,7 +59,7 @@ FittedMotion = UniformMotion | SuddenMotion
 
 def with_equal_times_per_run(sightings: Sightings) -> Sightings:
     """Sightings in which consecutive pointings to one target have equal times."""
-    _, run = np.unique(np.stack([sightings.station, sightings.seating]), axis=1, return_inverse=True)
+    _, run = np.unique(np.stack([sightings.station, sightings.seating_numbers]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
@@ -77,7 +77,7 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
             moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
-                order = sightings.order[effect.row_weights(sightings)[sightings.order] > 0]
+                order = sightings.measurement_order[effect.row_weights(sightings)[sightings.measurement_order] > 0]
                 at = int(np.searchsorted(sightings.time[order], effect.time))
                 moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (

@@ -65,7 +65,9 @@ class UnknownColumns:
         has_columns[:, :3] = (~over & (marks.first_setup_on_mark == np.arange(stations)))[:, None]
         keep = np.zeros(targets, dtype=bool)
         difference_ends = differences.ends[differences.ends < targets]
-        keep[np.concatenate([gauge.first, gauge.second, marks.target_indices[over], difference_ends])] = True
+        keep[
+            np.concatenate([gauge.first_targets, gauge.second_targets, marks.target_indices[over], difference_ends])
+        ] = True
         pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
         pose[has_columns] = fresh(int(has_columns.sum()), 1)[:, 0]
         target[keep] = fresh(int(keep.sum()), 3)
@@ -191,7 +193,7 @@ class UndeterminedUnknowns:
         flat[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
         flat[marks.target_indices[on & (feels | ~upright)]] = False
         flat[network.control_rows.place_indices[network.control_rows.declared_components[:, 2]]] = False
-        flat[np.concatenate([network.gauge_rows.first, network.gauge_rows.second])] = False
+        flat[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
         height_free = network.difference_rows.undetermined_heights(np.concatenate([flat, height, [False]]))
         has_height = np.concatenate(
             [network.control_rows.declared_components[:, 2], network.mark_control_rows.declared_components[:, 2]]

@@ -8,12 +8,12 @@ is P s s' P'. Plans, adjustments, calibrations and uncertainties of tasks use th
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.core.arrays import AT_ONCE, Floats, Ints
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.units import PPM
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_variance
 from ltsim.physics.effects.rays import relative_index_change_per_kelvin
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, weight_rows
 
 TEMPERATURE_ERROR = "temperature of the air"
@@ -39,11 +39,11 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
     return np.asarray(spread)
 
 
-def relevant_air(adjustment: Adjustment, air: Air | None = None) -> Air | None:
+def relevant_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> AirUncertainty | None:
     """Uncertainty of the air (default that of the set-up) if the lines of sight are long enough; else None."""
-    chosen = air or adjustment.recording.setup.air or Air()
+    chosen = air or adjustment.recording.setup.air or AirUncertainty()
     used = adjustment.problem.used_readings.any(axis=1)
-    return chosen if chosen.counts(longest_range(adjustment)) and used.any() else None
+    return chosen if chosen.is_relevant(longest_range(adjustment)) and used.any() else None
 
 
 def longest_range(adjustment: Adjustment) -> float:
@@ -51,7 +51,9 @@ def longest_range(adjustment: Adjustment) -> float:
     return float(np.max(adjustment.sightings.range_, where=adjustment.problem.used_readings.any(axis=1), initial=0.0))
 
 
-def displacements_by_air(adjustment: Adjustment, displacement_per_row: Floats, air: Air) -> dict[str, Floats]:
+def displacements_by_air(
+    adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
+) -> dict[str, Floats]:
     """Displacements (k, q) of unknowns by the air, by cause, with one column per standard deviation of a variate.
 
     Each station has a temperature and a gradient, each reading a turbulence. `displacement_per_row` (m, k) belongs to
@@ -68,7 +70,7 @@ def displacements_by_air(adjustment: Adjustment, displacement_per_row: Floats, a
     return {name: response for name, response in responses.items() if np.any(response)}
 
 
-def _temperature_and_gradient_shifts(adjustment: Adjustment, air: Air) -> tuple[Floats, Ints]:
+def _temperature_and_gradient_shifts(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
     """Shifts (2, r) of the readings in use by the temperature and the gradient of a station, and their stations (r,).
 
     One standard deviation of each; shifts are in standard deviations of the readings.
@@ -78,14 +80,14 @@ def _temperature_and_gradient_shifts(adjustment: Adjustment, air: Air) -> tuple[
     return (errors / adjustment.problem.sigma[rows, columns][:, None]).T, adjustment.recording.station[rows]
 
 
-def _turbulence_shifts(adjustment: Adjustment, air: Air) -> Floats:
+def _turbulence_shifts(adjustment: Adjustment, air: AirUncertainty) -> Floats:
     """Standard deviation (r,) of the readings in use by turbulence, in standard deviations of these readings."""
     rows, columns = np.nonzero(adjustment.problem.used_readings)
     variance = turbulence_variance(air, adjustment.sightings)[rows, columns]
     return np.asarray(np.sqrt(variance) / adjustment.problem.sigma[rows, columns])
 
 
-def shared_air_errors(air: Air) -> tuple[str, str]:
+def shared_air_errors(air: AirUncertainty) -> tuple[str, str]:
     """Names of the errors of the air that all stations share.
 
     Poses and targets absorb them, so that residuals do not show them.
@@ -97,13 +99,15 @@ def shared_air_errors(air: Air) -> tuple[str, str]:
     )
 
 
-def displacements_by_shared_air(adjustment: Adjustment, displacement_per_row: Floats, air: Air) -> dict[str, Floats]:
+def displacements_by_shared_air(
+    adjustment: Adjustment, displacement_per_row: Floats, air: AirUncertainty
+) -> dict[str, Floats]:
     """Displacements (k,) of unknowns by one standard deviation of each of the `shared_air_errors`."""
     shifts, _ = _temperature_and_gradient_shifts(adjustment, air)
     return dict(zip(shared_air_errors(air), shifts @ displacement_per_row[: shifts.shape[1]], strict=True))
 
 
-def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None) -> Floats:
+def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
     """Covariance (c, k, k) of sets (c, k) of unknowns due to the air; zero for short ranges.
 
     With C the covariance of the unknowns and S that of the shifts of the rows, it is C A' S A C: no matrix has the
@@ -114,7 +118,7 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None
     if counted is None:
         return added
     unknowns, (common, turbulent) = adjustment.problem.unknowns.n_columns, _air_right_hand_sides(adjustment, counted)
-    step = max(1, AT_ONCE // (unknowns * size))
+    step = max(1, MAX_TEMPORARY_ENTRIES // (unknowns * size))
     for first in range(0, len(columns), step):
         batch = columns[first : first + step]
         spread = _covariance_columns(adjustment, batch.ravel())
@@ -127,7 +131,7 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: Air | None = None
     return added
 
 
-def _air_right_hand_sides(adjustment: Adjustment, air: Air) -> tuple[Floats, DesignMatrix]:
+def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
     """Right-hand sides (u, q) by the temperature and gradient of each station, and the matrix A' S A of turbulence."""
     common, station = _temperature_and_gradient_shifts(adjustment, air)
     turbulence, design = _turbulence_shifts(adjustment, air), adjustment.solution.system.design[: len(station)]
@@ -141,18 +145,18 @@ def _air_right_hand_sides(adjustment: Adjustment, air: Air) -> tuple[Floats, Des
     return np.asarray(sum(right)), sum(turbulent)
 
 
-def joint_air_covariance(adjustment: Adjustment, air: Air | None = None) -> Floats:
+def joint_air_covariance(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
     """Covariance (3 T, 3 T) [m^2] of all targets due to the air; zero for short ranges."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 
 
-def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict[str, float]:
+def hidden_displacements(adjustment: Adjustment, air: AirUncertainty | None = None) -> dict[str, float]:
     """Rms displacement [m] of the targets by each error of the air that all stations share, after the best rigid fit.
 
     It is for one standard deviation; readings do not show the errors, so that no adjustment reports them.
     """
-    chosen = air or adjustment.recording.setup.air or Air()
+    chosen = air or adjustment.recording.setup.air or AirUncertainty()
     targets = np.flatnonzero(~adjustment.problem.structure.is_unmeasured_target & ~adjustment.undetermined_heights)
     columns, (shifts, _) = (
         adjustment.problem.unknowns.target_columns[targets].ravel(),
@@ -162,7 +166,7 @@ def hidden_displacements(adjustment: Adjustment, air: Air | None = None) -> dict
     moved = adjustment.factorised_normals.covariance_columns(right)
     if adjustment.datum is not None:
         moved = moved - adjustment.datum.free_motions @ (adjustment.datum.transformation.T @ right)
-    motion = rigid_motion(adjustment.state.target_points[targets])
+    motion = rigid_motion_design(adjustment.state.target_points[targets])
     sizes = {}
     for name, response in zip(shared_air_errors(chosen), moved[columns].T, strict=True):
         rest = response - motion @ np.linalg.lstsq(motion, response, rcond=None)[0]

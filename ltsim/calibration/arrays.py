@@ -14,10 +14,10 @@ from ltsim.calibration.schema import DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TAB
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, RecordError, unknown_name
 from ltsim.core.results import Table
-from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction, construction_for_parameters
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import OBSERVABLES
 
 
@@ -109,7 +109,7 @@ def arrays_from_file_rows(
     instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
     at = _flat_parameter_indices(construction, rows, place, built.parameter_names, file)
-    factor = np.array([FACTOR[row.unit] for row in rows])
+    factor = np.array([SI_PER_UNIT[row.unit] for row in rows])
 
     def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
         """The default [SI], replaced by the values of the file."""
@@ -152,13 +152,13 @@ def _flat_parameter_indices(
     for number, row in enumerate(rows, start=1):
         if (row.instrument, row.name) not in location:
             kind = f"parameter of construction {construction}"
-            raise RecordError(f"parameters: {unknown_name(kind, shown(row.name), names)}", file=file, row=number)
-        if row.unit not in FACTOR:
-            expected = f"expected one of {', '.join(FACTOR)}"
-            raise RecordError(f"parameters: unknown unit '{shown(row.unit)}'; {expected}", file=file, row=number)
+            raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)
+        if row.unit not in SI_PER_UNIT:
+            expected = f"expected one of {', '.join(SI_PER_UNIT)}"
+            raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)
         at.append(location[row.instrument, row.name])
         if at[-1] in at[:-1]:
-            problem = f"parameters: '{shown(row.name)}' occurs twice; expected one entry per parameter"
+            problem = f"parameters: '{quoted_text(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
     return at
 

@@ -7,11 +7,11 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import CalibrationSource, load_calibration
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError, RecordError, option
-from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.incidence import incidence_shift
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 
 
@@ -53,7 +53,7 @@ def correct(
     >>> len(corrected)
     140
     """
-    source, corrections = recording_of(recording), load_calibration(calibration)
+    source, corrections = load_recording(recording), load_calibration(calibration)
     if not allow_repeated and any(source.instrument_of(name).corrected for name in source.stations):
         raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
     if corrections.is_rejected and corrections.instrument_parameter_names and not allow_rejected:
@@ -93,7 +93,7 @@ def corrected_readings(recording: Recording, construction: Construction, values:
     raw = np.where(recording.measured, recording.readings, _replacement_readings(recording))
     ideal = to_face(to_polar(construction.point(raw, values)), recording.face)
     change = ideal - raw
-    change[:, 1:] = wrap(change[:, 1:])
+    change[:, 1:] = wrap_angle(change[:, 1:])
     return np.where(recording.measured, raw + change, np.nan)
 
 

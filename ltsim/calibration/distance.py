@@ -60,7 +60,7 @@ def calibrate_distance(
     built = construction or declared_construction(recording)
     parameter_prior = (choice or ParameterSelection()).prior_of(recording, built)
     prior, held = parameter_prior.sigma, parameter_prior.is_fixed
-    source = SourceEntry.of(recording)
+    source = SourceEntry.from_recording(recording)
     recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start = np.where(held, parameter_prior.mean / prior, 0.0).ravel()

@@ -101,7 +101,7 @@ def _append_gauge_rows(
     spread = sp.csr_array(-problem.reference_lengths.decorrelated_to_lengths[which])
     matrix = sp.vstack([comparison_matrix, pick], format="csr")
     residual = matrix @ distances.lengths
-    residual[comparison_matrix.shape[0] :] -= problem.reference_lengths.length[which]
+    residual[comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
     length_noise = sp.vstack([sp.csr_array((comparison_matrix.shape[0], n_lengths)), spread], format="csr")
     noise = sp.hstack([matrix @ distances.reading_derivatives, length_noise], format="csr")
     return ComparedDistances(

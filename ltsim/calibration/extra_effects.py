@@ -16,7 +16,7 @@ from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.core.errors import ModelError, option
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -171,6 +171,6 @@ def _effect_entries(
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
     """A number in its unit."""
-    unit = FACTOR[parameter.unit]
+    unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)

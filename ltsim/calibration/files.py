@@ -12,7 +12,7 @@ from ltsim.core.errors import RecordError, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.recordings.files import read_text, shown
+from ltsim.recordings.files import quoted_text, read_text
 from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
@@ -45,7 +45,7 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
     RecordError
         When a column is missing or a field is no number.
     """
-    table = TARGETS_TABLE.parsed(read_text(file), file)
+    table = TARGETS_TABLE.parse_csv(read_text(file), file)
     numbers = table.numbers(*TARGETS_TABLE.header[1:]) * MILLIMETRE
     return tuple(table.column("target")), numbers[:, :3], numbers[:, 3:]
 
@@ -82,10 +82,10 @@ def _check_reflector_parameters(content: Calibration, file: Path) -> None:
     for entry in content.reflectors:
         for row in entry.parameters:
             if row.name not in expected:
-                unknown = unknown_name("parameter of smr-incidence", shown(row.name), tuple(expected))
+                unknown = unknown_name("parameter of smr-incidence", quoted_text(row.name), tuple(expected))
                 raise RecordError(f"reflectors: {unknown}", file=file)
             if row.unit != expected[row.name] or isinstance(row.value, str):
-                problem = f"{shown(row.name)} is '{shown(str(row.value))} {shown(row.unit)}'"
+                problem = f"{quoted_text(row.name)} is '{quoted_text(str(row.value))} {quoted_text(row.unit)}'"
                 raise RecordError(f"reflectors: {problem}; expected a number in {expected[row.name]}", file=file)
 
 

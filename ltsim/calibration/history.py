@@ -13,7 +13,7 @@ from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import listing
 from ltsim.core.probability import format_p
-from ltsim.core.results import Column, Columns, Table, columns_of, texts
+from ltsim.core.results import Column, ColumnValues, Table, columns_of, texts
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
 
@@ -163,7 +163,7 @@ class History(ResultFile):
             f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {format_p(since.p_value)}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         return {
             "values": lambda: self._table_by_calibration([course.values for course in self.parameters]),
             "sigmas": lambda: self._table_by_calibration([course.sigmas for course in self.parameters]),
@@ -175,7 +175,7 @@ class History(ResultFile):
             ),
         }
 
-    def _table_by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> Columns:
+    def _table_by_calibration(self, numbers: Sequence[tuple[float, ...]]) -> ColumnValues:
         """Table with one row per calibration and one column per parameter."""
         columns = {f"{p.name} [{p.unit}]": list(column) for p, column in zip(self.parameters, numbers, strict=True)}
         return {"label": self.labels, **columns}

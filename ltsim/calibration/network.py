@@ -34,7 +34,7 @@ from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import Construction, declared_construction, ideal_construction
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
 
@@ -72,7 +72,7 @@ def calibrate_network(
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:
         wanted.require_estimable(recording, built)
-    modes = [RangeMode()] if built.n_parameters and MODE_COLUMN in recording.circumstances else []
+    modes = [RangeMode()] if built.n_parameters and MODE_COLUMN in recording.regressor_covariates else []
     expected = expected_sigmas(recording, built) if choose_correction else prior_sigmas(recording, built)
     prior, history_prior = chosen.prior_with_sigma(expected, recording, built), chosen.earlier_calibrations is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
@@ -161,7 +161,7 @@ def adjust(
     >>> lt.adjust(recording).to_dataframe("targets").shape
     (28, 7)
     """
-    source = recording_of(recording)
+    source = load_recording(recording)
     chosen = None if datum is None else name_tuple(datum)
     selection = identify_causes(source)
     adjustment = _adjust_with_options(
@@ -272,7 +272,7 @@ def _make_calibration(
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,
         axes=result.axes_entry(adjustment),
-        recording=SourceEntry.of(source),
+        recording=SourceEntry.from_recording(source),
         notes=result.network_notes(adjustment),
         **fields,
     )

@@ -52,7 +52,7 @@ class DistanceProblem:
     @cached_property
     def reference_lengths(self) -> GaugeRows:
         """Reference lengths in the workshop."""
-        return GaugeRows.of(self.recording)
+        return GaugeRows.from_recording(self.recording)
 
     @cached_property
     def set_numbers(self) -> Ints:
@@ -145,8 +145,8 @@ class DistanceProblem:
     def gauge_matches(self, distances: SetDistances) -> tuple[Ints, Ints]:
         """Rows of `distances` with a reference length, and its index."""
         count = len(self.recording.targets)
-        low = np.minimum(self.reference_lengths.first, self.reference_lengths.second)
-        high = np.maximum(self.reference_lengths.first, self.reference_lengths.second)
+        low = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
+        high = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         index = {int(key): i for i, key in enumerate(low * count + high)}
         which = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
         rows = np.flatnonzero(which >= 0)

@@ -14,7 +14,7 @@ from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.model.construction import Construction, all_parameter_names
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
@@ -79,12 +79,12 @@ class EarlierCalibrations:
     @classmethod
     def _from_history(cls, content: History, file: Path | None = None) -> EarlierCalibrations:
         courses = content.parameters
-        strange = next((course for course in courses if course.unit not in FACTOR), None)
+        strange = next((course for course in courses if course.unit not in SI_PER_UNIT), None)
         if strange is not None:
             raise RecordError(f"parameters: unknown unit '{strange.unit}' of {strange.name}", file=file)
         if np.shape(content.mean_covariance) != (len(courses), len(courses)):
             raise RecordError("the file has no covariance of the means; write it again with `ltsim history`", file=file)
-        factor = np.array([FACTOR[course.unit] for course in courses])
+        factor = np.array([SI_PER_UNIT[course.unit] for course in courses])
         mean, spread = (np.array([getattr(course, what) for course in courses]) * factor for what in ("mean", "spread"))
         covariance = np.diag(spread**2) + np.array(content.mean_covariance) * np.outer(factor, factor)
         names = tuple(course.name for course in courses)

@@ -32,8 +32,8 @@ from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
-from ltsim.geometry.rigid import rigid_motion
-from ltsim.geometry.rotations import quaternion
+from ltsim.geometry.rigid import rigid_motion_design
+from ltsim.geometry.rotations import quaternion_from_matrix
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.smr_incidence import SmrIncidence
@@ -91,7 +91,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
         StationPose(
             name=name,
             position_mm=np.where(flat[i] & HEIGHT_COMPONENT, np.nan, state.station_positions[i] / MILLIMETRE).tolist(),
-            rotation_quaternion=quaternion(state.station_rotations[i]).tolist(),
+            rotation_quaternion=quaternion_from_matrix(state.station_rotations[i]).tolist(),
             sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
             sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
         )
@@ -211,7 +211,7 @@ def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     places = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in used]]
     centre = places.mean(axis=0)
     free = motions_about_centre(adjustment.problem.free_motions, centre)
-    motion = rigid_motion(places, centre) @ free
+    motion = rigid_motion_design(places, centre) @ free
     misses = np.concatenate([test.residual for test in used])
     variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
     sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
@@ -384,7 +384,7 @@ def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the range zeros if both distance meters were used."""
-    if MODE_COLUMN not in adjustment.recording.circumstances:
+    if MODE_COLUMN not in adjustment.recording.regressor_covariates:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)

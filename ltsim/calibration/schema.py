@@ -8,7 +8,7 @@ from scipy import special
 
 from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number, with_sigma
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.probability import format_p
 from ltsim.core.results import Column, Table, columns_of, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
@@ -273,8 +273,8 @@ class RecommendedCorrection(Entry):
     @property
     def error_text(self) -> str:
         """Text of the error of a new point without and with the correction."""
-        before, after = (number(error, 3) for error in self.point_errors_um)
-        noise = f"{number(self.noise_um, 3)} um of it is the measurement noise of that point"
+        before, after = (number_text(error, 3) for error in self.point_errors_um)
+        noise = f"{number_text(self.noise_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 

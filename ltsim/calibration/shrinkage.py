@@ -29,7 +29,7 @@ from ltsim.calibration.schema import RecommendedCorrection
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.rigid import without_rigid_motion
+from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import to_dense
 
@@ -275,7 +275,7 @@ def point_error_form(adjustment: Adjustment) -> Floats:
         instrument = int(recording.instrument[rows[0]])
         readings, values = recording.readings[rows], state.instrument_parameters[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
-        error = without_rigid_motion(by_value.reshape(-1, size), points)
+        error = remove_rigid_motion(by_value.reshape(-1, size), points)
         block = slice(instrument * size, (instrument + 1) * size)
         total[block, block] += error.T @ error
     return total / max(int(whole.sum()), 1)

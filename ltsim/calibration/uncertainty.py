@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.recordings.result_file import Entry, NotNegative, Positive
 
 
@@ -47,7 +47,7 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
     if result.uncertainty_factor > 1.0:
         sentences.append(
             "The readings contradict the model: all standard deviations are multiplied by sigma0 = "
-            f"{number(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
+            f"{number_text(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(
@@ -61,7 +61,7 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
         )
     if result.hidden_errors:
         sizes = "; ".join(
-            f"{error.source_text}: {number(error.target_error_um, 2)} um (rms)" for error in result.hidden_errors
+            f"{error.source_text}: {number_text(error.target_error_um, 2)} um (rms)" for error in result.hidden_errors
         )
         sentences.append(
             f"The readings do not show the following errors of the targets, and the standard deviations do not include "

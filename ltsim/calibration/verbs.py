@@ -28,7 +28,7 @@ from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, 
 from ltsim.physics.laws.words import parse_law
 from ltsim.physics.model.construction import Construction, make_construction as construction_called
 from ltsim.recordings import Recording
-from ltsim.recordings.exchange import RecordingSource, read, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording, read
 
 NO_PRIOR_OPTION = "none"
 
@@ -123,7 +123,7 @@ def calibrate(
     effects = effect_tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
-    source = recording_of(recording)
+    source = load_recording(recording)
     if method == "network":
         extra_effects = [parse_requested_effect(asked, source) for asked in effects]
         return with_reported_uncertainty(
@@ -214,7 +214,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     >>> criteria.distance.improvement_percent > 10
     True
     """
-    source = recording_of(recording)
+    source = load_recording(recording)
     use = ~screen_gross_errors(source).is_gross_pointing
     if calibration is None:
         return Criteria.from_criteria(source, criteria_of(source, row_mask=use))
@@ -247,7 +247,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
     ['distance', 'coordinate']
     """
-    source, corrections = recording_of(recording), load_calibration(calibration)
+    source, corrections = load_recording(recording), load_calibration(calibration)
     change = incidence_correction_change(source, corrections)
     values = corrections.values_for(source)
     points = read_nominal(Path(nominal))

@@ -103,12 +103,12 @@ class GeometryStack(CellTruth):
     @cached_property
     def local_points(self) -> Floats:
         """Targets in the instruments' frames, (n, 3, B) [m]."""
-        return self.gather(truth.sightings.local for truth in self.truths)
+        return self.gather(truth.sightings.local_points for truth in self.truths)
 
     @cached_property
     def reading_derivatives(self) -> Floats:
         """Derivative of an ideal tracker's readings with respect to the local point, (n, 3, 3, B)."""
-        return self.gather(truth.sightings.jacobian for truth in self.truths)
+        return self.gather(truth.sightings.local_derivatives for truth in self.truths)
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.gather(truth.effect_design_function(effects)[..., 0] for truth in self.truths)

@@ -38,9 +38,9 @@ from ltsim.campaigns.stopping import ShardKey, iterate_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.simulator import ineffective_effect_notes
@@ -226,7 +226,7 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
     then, today = manifest.versions, _package_versions()
     for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:
-            before = shown(str(then.get(name)))
+            before = quoted_text(str(then.get(name)))
             raise SetupError(
                 f"{store.folder}: started with {name} {before}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or start again with another --out"
@@ -339,7 +339,7 @@ def _iterate_results(
     )
     if workers.backend == "local":
         jobs = min(workers.n_processes, max(len(tasks), 1))
-        yield from parallel(run_task, ((task,) for task in given), jobs, ordered=False)
+        yield from run_parallel(run_task, ((task,) for task in given), jobs, ordered=False)
         return
     with _dask_cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)

@@ -33,7 +33,7 @@ from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.absolute import solve_least_absolute
 
 MAX_STEPS = 10
@@ -114,7 +114,7 @@ class BatchDistance(BatchCalibrator):
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_numbers
         visible, share = set_membership(self.truth, sets)
-        return sets, visible, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
+        return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
     def calibrate_batch(self, block: TrialBatch, wanted: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block with the network adjusted from the corrected readings, and flags of converged trials."""
@@ -136,7 +136,7 @@ class BatchDistance(BatchCalibrator):
         deviation, prior = block.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
-        length = self.distance_problem.reference_lengths.length[:, None] + block.length_errors
+        length = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
         values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_STEPS):
@@ -221,5 +221,5 @@ class BatchDistance(BatchCalibrator):
             axis=1,
         )
         corrected = raw - self.truth.recording.readings[:, :, None]
-        corrected[:, 1:] = wrap(corrected[:, 1:])
+        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
         return self.batch_network.fit_trials(corrected, block.length_errors)

@@ -21,7 +21,7 @@ from ltsim.campaigns.schema import BATCH_CONVERGED, FULL_SOLVER, TRIAL_STATUSES,
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import LtsimError
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction, ideal_construction
@@ -115,8 +115,8 @@ class TrialCalibrator:
 def recording_of_trial(truth: CellTruth, block: TrialBatch, trial: int) -> Recording:
     """Recording of a trial for any calibrator: readings and declared lengths, without truth."""
     recording = truth.recording.with_readings(truth.trial_readings(block, trial))
-    lengths = ReferenceLengths.of(recording)
-    return with_certificates(recording, (lengths.length + block.length_errors[:, trial]) / lengths.factor)
+    lengths = ReferenceLengths.from_recording(recording)
+    return with_certificates(recording, (lengths.lengths + block.length_errors[:, trial]) / lengths.growth_factors)
 
 
 def align_targets(adjustment: Adjustment, goal_points: Floats) -> Floats:
@@ -239,7 +239,7 @@ class BatchCalibrator(TrialCalibrator):
         """Calibrated block; `wanted` (default all) are the trials that may use the single calibrator."""
         wanted = np.arange(len(block.trials)) if wanted is None else wanted
         calibrated, good = self.calibrate_batch(block, wanted)
-        enough = good & ~is_suspect_trial(block.reading_deviations, self.truth.sightings.local[:, :, None])
+        enough = good & ~is_suspect_trial(block.reading_deviations, self.truth.sightings.local_points[:, :, None])
         alone = wanted[~enough[wanted]]
         per_trial = self.serial_calibrator.calibrate(block, alone) if len(alone) else calibrated
         for trial in alone.tolist():
@@ -274,6 +274,8 @@ class BatchCalibrator(TrialCalibrator):
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
         points = self.truth.state.target_points
-        datum = InnerDatum.from_columns(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
+        datum = InnerDatum.from_columns(
+            rigid_motion_design(points, points.mean(axis=0)), columns, covariance.__matmul__
+        )
         blocks = datum.transform_covariance(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))

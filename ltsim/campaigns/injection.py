@@ -23,7 +23,7 @@ from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.effects.verbs import SizedEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.model.construction import declared_construction
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 AMPLITUDE_NAME = "size"
@@ -86,7 +86,7 @@ def inject(
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
-    changed = recording_of(recording)
+    changed = load_recording(recording)
     injector, injected = (
         Injector(changed, ResidualSpace.from_adjustment(adjust(changed, declared_construction(changed)))),
         [],
@@ -133,7 +133,7 @@ def injection_curve(
     """
     if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a curve needs at least one injection at each strength, and strengths above 0")
-    original = recording_of(recording)
+    original = load_recording(recording)
     background = diagnose(original)
     rows = []
     for strength in strengths:

@@ -205,7 +205,7 @@ class BatchNetwork:
     def _point_derivatives(self) -> Floats:
         """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the local point."""
         return (
-            sightings_of(self.recording, self.state).jacobian
+            sightings_of(self.recording, self.state).local_derivatives
             if self.shared_quantities is None
             else self.shared_quantities.point_derivatives
         )
@@ -232,7 +232,7 @@ class BatchNetwork:
             state = replace(state, station_rotations=turn @ state.station_rotations, **places)
         if self.shared_quantities is None:
             return self.model.sightings(state)
-        return self.shared_quantities.network._extra_sightings.at(
+        return self.shared_quantities.network._extra_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
 
@@ -372,10 +372,10 @@ class BatchNetwork:
         gauge = self.problem.gauge_rows
         if len(gauge):
             moved = self.split_unknowns(increments)[1]
-            arm = (self.state.target_points[gauge.first] - self.state.target_points[gauge.second]).reshape(
-                len(gauge), 3, -1
-            )
-            change = moved[gauge.first] - moved[gauge.second]
+            arm = (
+                self.state.target_points[gauge.first_targets] - self.state.target_points[gauge.second_targets]
+            ).reshape(len(gauge), 3, -1)
+            change = moved[gauge.first_targets] - moved[gauge.second_targets]
             length = np.sqrt(np.sum(arm**2, axis=1))
             linear = length + np.sum(arm * change, axis=1) / length
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.campaigns.schema import sql_terms
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.results import Columns, Result, by_row
+from ltsim.core.results import ColumnValues, Result, columns_from_rows
 
 if TYPE_CHECKING:
     from ltsim.campaigns.statistics import CampaignStatistics  # needs packages that few install
@@ -67,9 +67,9 @@ class PairedDifferences(Result):
     def _lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
         plain = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
-        return {"differences": lambda: by_row(plain)}
+        return {"differences": lambda: columns_from_rows(plain)}
 
 
 def paired_differences(results: CampaignStatistics, statistic: str, **between: tuple[Any, Any]) -> PairedDifferences:

@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.geometry.kinematics.chain import Motion, Turn
+from ltsim.geometry.kinematics.chain import ElementaryMotion, RotationStep
 from ltsim.physics.model.construction import Construction
 
 DERIVATIVE_STEP = 1e-4
@@ -55,7 +55,7 @@ class ChainProgram(NamedTuple):
         feeds = [fed.get(m.slot, []) for m in motions]
         slope = _basis_derivatives(construction, raw)
         return cls(
-            is_rotation=np.array([isinstance(m, Turn) for m in motions], dtype=np.int64),
+            is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
             axis_indices=np.array([m.axis for m in motions], dtype=np.int64),
             reading_signs=np.array([m.sign for m in motions]),
             reading_indices=np.array([_reading_index(m) for m in motions], dtype=np.int64),
@@ -81,7 +81,7 @@ class ChainProgram(NamedTuple):
         )
 
 
-def _reading_index(motion: Motion) -> int:
+def _reading_index(motion: ElementaryMotion) -> int:
     """Index of the reading on which a motion depends, -1 for none.
 
     Amounts are constant, or a reading plus a constant.
@@ -93,9 +93,9 @@ def _reading_index(motion: Motion) -> int:
     return next((c for c in range(3) if moved[c + 1] != moved[0]), -1)
 
 
-def _nominal_amount(motion: Motion, raw: Floats) -> Floats:
+def _nominal_amount(motion: ElementaryMotion, raw: Floats) -> Floats:
     amount = np.zeros(len(raw)) if motion.nominal is None else motion.sign * motion.nominal(raw)
-    if isinstance(motion, Turn):
+    if isinstance(motion, RotationStep):
         return np.stack([np.cos(amount), np.sin(amount)], axis=1)
     return np.stack([amount, np.zeros_like(amount)], axis=1)
 

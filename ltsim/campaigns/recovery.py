@@ -43,7 +43,7 @@ from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError, SetupError, option, unknown_name
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
-from ltsim.core.units import in_unit
+from ltsim.core.units import parse_in_unit
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import make_construction as construction_called
@@ -275,7 +275,7 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
         if name not in trial.parameter_names:
             raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
         unit = trial.parameter_units[trial.parameter_names.index(name)]
-        value = in_unit(words, unit)
+        value = parse_in_unit(words, unit)
         if value is None or not value > 0:
             raise SetupError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
         given[name] = RecoveryTolerance(value, words)

@@ -32,7 +32,7 @@ from ltsim.campaigns.scoring import (
 )
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.core.results import Table, columns_of, numbers, texts
 from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
@@ -120,7 +120,7 @@ def run_trials(
     """
     made = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
     work = ((made, seed, index, settings) for index in range(trials))
-    yield from parallel(run_trial, work, min(jobs, trials), batch=4)
+    yield from run_parallel(run_trial, work, min(jobs, trials), batch=4)
 
 
 def with_errors_from_prior(scenario: Scenario) -> Scenario:

@@ -35,7 +35,7 @@ from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch, make_cell_truth
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import BLOCK
+from ltsim.core.randomness import TRIALS_PER_STREAM
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect
 from ltsim.simulation.draws import StandardNormalSource
@@ -136,7 +136,7 @@ class CellContext:
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
             judge, calibrators = self.common_geometry
-            for number in range(first // BLOCK, -(-last // BLOCK)):
+            for number in range(first // TRIALS_PER_STREAM, -(-last // TRIALS_PER_STREAM)):
                 yield judge, calibrators, judge.truth.draw_block(seed, number)
             return
         for low in range(first, last, MAX_TRIALS_PER_STACK):

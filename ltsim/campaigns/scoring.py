@@ -31,11 +31,11 @@ from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import CalibratorError, RecordError, SetupError
 from ltsim.core.parallel import SAFE_PATH
-from ltsim.core.units import FACTOR, same_kind
+from ltsim.core.units import SI_PER_UNIT, has_same_kind
 from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings import Recording, write as write_recording
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
@@ -70,11 +70,11 @@ def split_command(command: str) -> list[str]:
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
             expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
-            raise SetupError(f"--calibrator '{shown(command)}' lacks {place}: expected {expected}")
+            raise SetupError(f"--calibrator '{quoted_text(command)}' lacks {place}: expected {expected}")
     try:
         return shlex.split(command)
     except ValueError as problem:
-        raise SetupError(f"--calibrator '{shown(command)}': {problem}") from None
+        raise SetupError(f"--calibrator '{quoted_text(command)}': {problem}") from None
 
 
 def run_external_calibrator(
@@ -98,19 +98,18 @@ def run_external_calibrator(
             word.replace(RECORDING_PLACEHOLDER, str(folder)).replace(OUTPUT_PLACEHOLDER, str(out)) for word in words
         ]
         try:
-            environment = {
-                name: value for name, value in os.environ.items() if name != SAFE_PATH
-            }  # that of our processes
+            environment = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # of our processes
             done = subprocess.run(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
             )
         except OSError as problem:
-            raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
+            raise SetupError(f"--calibrator: {quoted_text(words[0])} cannot be started ({problem.strerror})") from None
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-            detail = f"its last line was: {shown(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
-            raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {detail}")
+            detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
+            what = f"'{quoted_text(calibrator)}' ended with status {done.returncode}"
+            raise CalibratorError(f"{what} for {where}; {detail}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
@@ -126,9 +125,9 @@ def _validated_estimates(given: object, where: str) -> dict[str, ParameterEstima
         first = problem.errors()[0]
         place = " ".join(str(part) for part in first["loc"])
         raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
-    lost = next((entry.unit for entry in estimates.values() if entry.unit not in FACTOR), None)
+    lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
     if lost is not None:
-        raise RecordError(f"'{shown(lost)}' is not a unit, expected one of {', '.join(FACTOR)}", file=where)
+        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}", file=where)
     if not estimates:
         raise RecordError("no parameter in the result; expected at least one", file=where)
     return estimates
@@ -272,10 +271,8 @@ def score_calibration(
     one.
     """
     check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
-    expected, count = (
-        ExpectedTruth.from_calibration(calibration, truth, distribution),
-        len(calibration.instrument_parameter_names),
-    )
+    expected = ExpectedTruth.from_calibration(calibration, truth, distribution)
+    count = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
     error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
@@ -290,7 +287,7 @@ def score_calibration(
         *_expected_chi2(calibration, expected),
     )
     units = tuple(truth.units[name] for name in calibration.instrument_parameter_names)
-    factor = np.array([FACTOR[unit] for unit in units])
+    factor = np.array([SI_PER_UNIT[unit] for unit in units])
     instrument = np.stack(
         [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]
     )
@@ -299,7 +296,9 @@ def score_calibration(
     plain = np.all(expected.truth_sigmas[:count] == 1.0) and not np.any(
         expected.mean_truth[:count]
     )  # else priors move effects too
-    extra = np.array([[e.value, e.sigma or np.nan, more[name].value / FACTOR[e.unit]] for name, e in fitted.items()])
+    extra = np.array(
+        [[e.value, e.sigma or np.nan, more[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
+    )
     extra = extra.reshape(-1, 3).T
     z = (1.0 if plain else np.nan) * (extra[0] - extra[2]) / extra[1]
     value, sigma, right, scores = np.concatenate([instrument, np.vstack([extra, z])], axis=1)
@@ -382,10 +381,10 @@ def score_estimates(
     names = tuple(name for name in true if name in estimates)
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
-        if not same_kind(estimates[name].unit, unit):
+        if not has_same_kind(estimates[name].unit, unit):
             raise SetupError(f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit like it")
-    factor = np.array([FACTOR[unit] for unit in units])
-    scale = np.array([FACTOR[estimates[name].unit] for name in names]) / factor
+    factor = np.array([SI_PER_UNIT[unit] for unit in units])
+    scale = np.array([SI_PER_UNIT[estimates[name].unit] for name in names]) / factor
     value = scale * np.array([estimates[name].value for name in names])
     sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
     right = np.array([true[name].value for name in names]) / factor

@@ -15,7 +15,7 @@ from ltsim.campaigns.design import Design, Factor, short_key_names
 from ltsim.campaigns.schema import StatisticGroup, find_column
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.settings import checked, read_toml
+from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.simulation.keys import convert_value, unit_of, value_type_of_key
 from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
@@ -222,7 +222,7 @@ def load_campaign(
     """
     with as_setup_error():
         given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
-        campaign = checked(given, CampaignFile, "campaign", path)
+        campaign = validate_settings(given, CampaignFile, "campaign", path)
     if changes:
         campaign = override_campaign(campaign, changes, path)
     base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
@@ -252,7 +252,7 @@ def override_campaign(campaign: CampaignFile, changes: Mapping[str, Any], path: 
         else:
             tables["settings"][key] = value
     with as_setup_error():
-        return checked(tables, CampaignFile, "campaign", path)
+        return validate_settings(tables, CampaignFile, "campaign", path)
 
 
 @dataclass(frozen=True)

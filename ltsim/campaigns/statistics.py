@@ -31,8 +31,8 @@ from ltsim.campaigns.stopping import interval_error_rate, student_quantile
 from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, unknown_name
-from ltsim.core.results import Columns, Table, by_row
-from ltsim.recordings.files import shown
+from ltsim.core.results import ColumnValues, Table, columns_from_rows
+from ltsim.recordings.files import quoted_text
 
 NORMAL_QUANTILE_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
@@ -193,13 +193,13 @@ class CampaignStatistics:
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         summary = self.summary
         return {
             "summary": self._summary,
             "cells": self._cells,
-            "ends": lambda: by_row(self._with_settings(summary()["ends"])),
-            "z_scores": lambda: by_row(self._with_settings(summary()["z_scores"])),
+            "ends": lambda: columns_from_rows(self._with_settings(summary()["ends"])),
+            "z_scores": lambda: columns_from_rows(self._with_settings(summary()["z_scores"])),
             "rows": self._rows,
         }
 
@@ -209,7 +209,7 @@ class CampaignStatistics:
         rows = self._with_settings(self.summary()["columns"])
         return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
-    def _rows(self) -> Columns:
+    def _rows(self) -> ColumnValues:
         with _interruptible():
             rows = self._database.execute("SELECT * FROM rows ORDER BY cell, method, trial")
             names = [column[0] for column in rows.description]
@@ -391,5 +391,5 @@ def _finite_or_none(value: float | None) -> float:
 
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:
-    reason = shown(str(problem).split("\n")[0], 200)
+    reason = quoted_text(str(problem).split("\n")[0], 200)
     return SetupError(f"{folder}: a shard cannot be read ({reason}); run the campaign with --resume to repair it")

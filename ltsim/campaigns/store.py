@@ -28,7 +28,7 @@ from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
 from ltsim.core.errors import RecordError, SetupError
-from ltsim.core.storage import place_in, settle, write_files
+from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.result_file import read_result
 
 MANIFEST_FILE = ManifestFile.FILE
@@ -152,7 +152,7 @@ class CampaignFolder:
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
 
     def _append_digest(self, name: str, digest: str) -> None:
-        with place_in(self.folder, DIGESTS_FILE).open("a", encoding="ascii") as stream:
+        with path_in_folder(self.folder, DIGESTS_FILE).open("a", encoding="ascii") as stream:
             stream.write(f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
@@ -163,7 +163,7 @@ class CampaignFolder:
 
     def clear(self) -> None:
         """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
-        place_in(self.folder, ROWS_FOLDER)
+        path_in_folder(self.folder, ROWS_FOLDER)
         with self._storage_errors():
             for name in (MANIFEST_FILE, DIGESTS_FILE, SUMMARY_FILE):
                 (self.folder / name).unlink(missing_ok=True)
@@ -195,7 +195,7 @@ class CampaignFolder:
         """Path of a damaged shard after it was renamed for inspection."""
         path = self.shard_path(cell, shard)
         aside = path.with_suffix(".damaged")
-        place_in(self.folder, aside.relative_to(self.folder).as_posix())
+        path_in_folder(self.folder, aside.relative_to(self.folder).as_posix())
         with self._storage_errors():
             os.replace(path, aside)
         return aside
@@ -204,7 +204,7 @@ class CampaignFolder:
         """Removal of unfinished files of a killed run: temporary files, and an incomplete line of the digests."""
         with self._storage_errors():
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
-                settle(place_in(self.folder, folder.relative_to(self.folder).as_posix()))
+                complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
             file = self.folder / DIGESTS_FILE
             if file.exists() and file.read_bytes() != lines:

@@ -17,14 +17,14 @@ from ltsim.campaigns.kernels import compute_readings
 from ltsim.campaigns.program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import BLOCK as BLOCK
-from ltsim.geometry.polar import wrap
+from ltsim.core.randomness import TRIALS_PER_STREAM as TRIALS_PER_STREAM
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.reflectors import smrs_of
+from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
 from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry
@@ -108,7 +108,7 @@ class CellTruth:
     @cached_property
     def reflector_masks(self) -> dict[str, Bools]:
         """Flags (n,) of the pointings to each reflector, by its name; '' for an unnamed one."""
-        names = smrs_of(self.recording)
+        names = smr_names(self.recording)
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, reflectors: Mapping[str, Floats]) -> Floats:
@@ -157,7 +157,7 @@ class CellTruth:
         miss = entry.effect.reading_change(self.sightings, probe) - constant - design @ (3 * entry.value_sigmas)
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw_block(self, seed: int, number: int, width: int = BLOCK) -> TrialBatch:
+    def draw_block(self, seed: int, number: int, width: int = TRIALS_PER_STREAM) -> TrialBatch:
         """Trials from number ``width * number`` on, as a block."""
         return self.draw_trials(StandardNormalSource(seed, width * number + np.arange(width)))
 
@@ -184,7 +184,7 @@ class CellTruth:
             deviation += draw.reading_errors
             deviation = self._round_to_resolution(deviation)
         lengths = self.distributions.reference_lengths
-        gauge_error = draw.certified_lengths * lengths.factor[:, None] - lengths.length[:, None]
+        gauge_error = draw.certified_lengths * lengths.growth_factors[:, None] - lengths.lengths[:, None]
         return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, gauge_error)
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
@@ -208,7 +208,7 @@ class CellTruth:
         deviation = np.empty((len(which), 3, values.shape[2]))
         for i, parameters in enumerate(values):
             deviation[which == i] = by_value[which == i] @ parameters
-        compute_readings(program, which, sightings.local, sightings.jacobian, values, deviation)
+        compute_readings(program, which, sightings.local_points, sightings.local_derivatives, values, deviation)
         return deviation
 
     def _effect_change(self, place: int, amounts: Floats) -> Floats:
@@ -232,7 +232,7 @@ class CellTruth:
     def trial_readings(self, block: TrialBatch, trial: int) -> Floats:
         """Readings (n, 3) of one trial of a block as from an instrument, with azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.reading_deviations[:, :, trial]
-        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap(readings[:, 1]), readings[:, 1])
+        readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.recorded_observables] = np.nan
         return readings
 
@@ -253,7 +253,7 @@ def make_cell_truth(
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
     work = make_geometry(scenario, seed, *key, plan=plan)
-    if work.sightings.lift is not None and np.any(work.sightings.lift):
+    if work.sightings.reflector_offsets is not None and np.any(work.sightings.reflector_offsets):
         raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
     s, reference = work.sightings, None if reference_truth is None else reference_truth.recording
     if (
@@ -265,7 +265,7 @@ def make_cell_truth(
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
         there = replace(reference_truth.distributions, sightings=s, noise_sigmas=nominal_noise(scenario, s))
         nominal, state = (
-            reference.replace(**pointings, readings=s.raw, notes=work.hidden_pair_notes),
+            reference.replace(**pointings, readings=s.raw_readings, notes=work.hidden_pair_notes),
             _start_frame(work, there.instrument_means),
         )
         return replace(reference_truth, recording=nominal, state=state, distributions=there, geometry=work)
@@ -285,6 +285,8 @@ def _start_frame(work: MeasurementGeometry, mean: Floats) -> NetworkState:
     """True geometry in the frame of the first station, or of the workshop if levels define the vertical."""
     s = work.sightings
     if any(station.levelled for station in work.scenario.stations.values()):
-        return NetworkState(s.position, s.rotation, s.points, mean)
-    origin, turn = s.position[0], s.rotation[0]
-    return NetworkState((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
+        return NetworkState(s.station_positions, s.station_rotations, s.target_points, mean)
+    origin, turn = s.station_positions[0], s.station_rotations[0]
+    return NetworkState(
+        (s.station_positions - origin) @ turn, turn.T @ s.station_rotations, (s.target_points - origin) @ turn, mean
+    )

@@ -83,7 +83,7 @@ def correct(
     import numpy as np
 
     from ltsim.calibration.files import read_calibration
-    from ltsim.geometry.polar import wrap
+    from ltsim.geometry.polar import wrap_angle
     from ltsim.physics.effects import title_of
 
     recording, instrument = reading.of(source), read_calibration(calibration)
@@ -98,7 +98,7 @@ def correct(
         terminal.notes(instrument.correction.sentences)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings
-    change[:, 1:] = wrap(change[:, 1:])
+    change[:, 1:] = wrap_angle(change[:, 1:])
     largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
     keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
     terminal.answer({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})

@@ -17,7 +17,7 @@ from ltsim.cli import streams
 from ltsim.cli.places import FILE, FOLDER, Force
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.core.arguments import bounded, range_words
+from ltsim.core.arguments import bounded_parser, range_text
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.recordings.files import write_text
 
@@ -124,8 +124,8 @@ RecoverJobs = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded("jobs"),
-        metavar=f"NUMBER: {range_words('jobs')}",
+        parser=bounded_parser("jobs"),
+        metavar=f"NUMBER: {range_text('jobs')}",
         help="Number of processes; default all cores, one for few trials.",
     ),
 ]

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from ltsim.cli.terminal import Terminal
-from ltsim.core.notation import aligned
-from ltsim.core.units import FACTOR
+from ltsim.core.notation import align_columns
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, Effect, catalogue_entry, find_effect
 from ltsim.physics.effects.catalogue import BUILTIN_ORIGIN
 from ltsim.physics.effects.effect import ShapeParameter
@@ -94,7 +94,7 @@ def entry(effect: type[Effect]) -> dict[str, Any]:
 
 
 def _shown(value: float, shape: ShapeParameter) -> float:
-    return value / FACTOR[shape.unit]
+    return value / SI_PER_UNIT[shape.unit]
 
 
 def card(effect: type[Effect]) -> str:
@@ -116,11 +116,11 @@ def card(effect: type[Effect]) -> str:
         rows = [
             [p.name, f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, p.description] for p in effect.parameters
         ]
-        lines += ["", aligned(["parameter", "plausible size", "unit", "meaning"], rows, text_columns=4)]
+        lines += ["", align_columns(["parameter", "plausible size", "unit", "meaning"], rows, text_columns=4)]
     if effect.shape_parameters:
         rows = [
             [s.name, f"{_shown(s.lower_bound, s):.4g} to {_shown(s.upper_bound, s):.4g}", s.unit, s.description]
             for s in effect.shape_parameters
         ]
-        lines += ["", aligned(["constant", "searched", "unit", "meaning"], rows, text_columns=4)]
+        lines += ["", align_columns(["constant", "searched", "unit", "meaning"], rows, text_columns=4)]
     return "\n".join([*lines, "", CONVENTIONS])

@@ -17,8 +17,8 @@ import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
-from ltsim.core.arguments import BOUNDS, MOVE_FORM, bounded, check_choice, range_words
-from ltsim.core.errors import SPECIAL, RecordError, SetupError
+from ltsim.core.arguments import ARGUMENT_BOUNDS, MOVE_SYNTAX, bounded_parser, check_choice, range_text
+from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
 
 if TYPE_CHECKING:
     from ltsim.recordings import Hints, Recording
@@ -34,8 +34,8 @@ Jobs = Annotated[
     typer.Option(
         "--jobs",
         "-j",
-        parser=bounded("jobs"),
-        metavar=f"NUMBER: {range_words('jobs')}",
+        parser=bounded_parser("jobs"),
+        metavar=f"NUMBER: {range_text('jobs')}",
         help="Number of processes; the result does not depend on it.",
     ),
 ]
@@ -243,7 +243,7 @@ MAPPINGS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
     "move": (
         "STATION=X,Y[,Z[,YAW]]",
-        MOVE_FORM,
+        MOVE_SYNTAX,
         _place,
     ),
 }
@@ -269,7 +269,7 @@ class FunctionOption:
     @property
     def flag(self) -> str:
         """Flag on the command line: `--noise-from-data`."""
-        return SPECIAL.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
+        return FLAG_SPELLINGS.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
 
     @property
     def several(self) -> bool:
@@ -294,15 +294,15 @@ class FunctionOption:
             kind, metavar = str, f"[{'|'.join(self.choices)}]"
         elif self.names:
             metavar = "NAME,..."
-        elif self.name in BOUNDS:
-            metavar = f"NUMBER: {range_words(self.name)}"
+        elif self.name in ARGUMENT_BOUNDS:
+            metavar = f"NUMBER: {range_text(self.name)}"
         elif metavar is None:
             metavar = "FILE" if "Path" in self.kind else "NAME" if kind is str else "N"
         default = self.default
         if self.several or default is None or default == ():
             kind, default = (list[str] if self.several else kind) | None, None
         complete = (lambda: self.choices) if self.choices else None
-        parser = bounded(self.name) if self.name in BOUNDS else None
+        parser = bounded_parser(self.name) if self.name in ARGUMENT_BOUNDS else None
         option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete, parser=parser)
         return _option(self.name, Annotated[kind, option], default)
 

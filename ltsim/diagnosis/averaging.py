@@ -24,7 +24,7 @@ from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
-from ltsim.geometry.rigid import without_rigid_motion
+from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
@@ -75,7 +75,7 @@ def _safe_share(adjusted: Adjustment, change: Floats, deviations: Floats) -> flo
     Explanations deviate by (k, T, 3) [m].
     """
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.target_points)
-    shift = without_rigid_motion(
+    shift = remove_rigid_motion(
         np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free_motions
     )[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])

@@ -17,12 +17,12 @@ from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_de
 from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import AT_ONCE, Floats
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Undetectable
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
@@ -64,7 +64,7 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDet
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, AT_ONCE // (space.n_rows * size))
+        step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * size))
         for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
             signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)
@@ -97,7 +97,7 @@ def distortion(space: ResidualSpace, shift: Floats) -> float:
     """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
     moved = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points
-    motion = rigid_motion(points, points.mean(axis=0))
+    motion = rigid_motion_design(points, points.mean(axis=0))
     rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
     return float(1e6 * np.sqrt(3 * np.mean(rest**2)))
 

@@ -124,7 +124,7 @@ def diagnose(
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, LEAST_GAIN, repeated)
     detectability = detectability_report(*beginning)
-    source = SourceEntry.of(recording)
+    source = SourceEntry.from_recording(recording)
     return _report(source, explained, detectability, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 

@@ -30,7 +30,7 @@ from ltsim.diagnosis.schema import (
     InstrumentEntry,
     Undetectable,
 )
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.result_file import ResultFile
@@ -175,7 +175,7 @@ class Diagnosis(ResultFile):
         change = model.effects_change(model.sightings(state), state.extra_parameters) + self.arrays.averaging_change
         change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings
-        corrected[:, 1:] = wrap(corrected[:, 1:])
+        corrected[:, 1:] = wrap_angle(corrected[:, 1:])
         return np.nan_to_num(change + corrected)
 
     def modelled_length_change(self, recording: Recording) -> Floats:
@@ -187,11 +187,17 @@ class Diagnosis(ResultFile):
         none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
         shifts = problem.length_residuals(none) - problem.length_residuals(state)
         gauge = problem.gauge_rows
-        used = dict(zip(zip(gauge.first.tolist(), gauge.second.tolist(), strict=True), shifts.tolist(), strict=True))
-        lengths = ReferenceLengths.of(recording)
-        arm = state.target_points[lengths.second] - state.target_points[lengths.first]
-        differences = lengths.length - np.sqrt((arm**2).sum(axis=1))
-        ends = zip(lengths.first.tolist(), lengths.second.tolist(), strict=True)
+        used = dict(
+            zip(
+                zip(gauge.first_targets.tolist(), gauge.second_targets.tolist(), strict=True),
+                shifts.tolist(),
+                strict=True,
+            )
+        )
+        lengths = ReferenceLengths.from_recording(recording)
+        arm = state.target_points[lengths.second_targets] - state.target_points[lengths.first_targets]
+        differences = lengths.lengths - np.sqrt((arm**2).sum(axis=1))
+        ends = zip(lengths.first_targets.tolist(), lengths.second_targets.tolist(), strict=True)
         return np.array([used.get(pair, gap) for pair, gap in zip(ends, differences.tolist(), strict=True)])
 
     def variance_factors(self, recording: Recording) -> Floats:

@@ -7,7 +7,7 @@ from ltsim.adjustment.unmodelled import joint_air_covariance
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS
-from ltsim.recordings.native import OBSERVATIONS, SETUP, recording_texts
+from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_texts
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
@@ -17,8 +17,8 @@ COMPANIONS = (
     COVARIANCE_FILE,
     RESIDUALS_TABLE.file,
     BEFORE.file,
-    f"{RECORDING}/{OBSERVATIONS}",
-    f"{RECORDING}/{SETUP}",
+    f"{RECORDING}/{OBSERVATIONS_FILE}",
+    f"{RECORDING}/{SETUP_FILE}",
 )
 
 

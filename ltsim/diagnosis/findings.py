@@ -11,7 +11,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.detectability import distortion, separating_measurement
 from ltsim.diagnosis.evidence import active_observables, log_bayes_factor_discrepancy, posterior
@@ -166,9 +166,9 @@ class Explained:
             sentence = catalogue_sentence(name, where, estimates, probability, p_located=p_located) + doubt
         more["moves_targets_um"] = moved = distortion(space, done)
         touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
-        felt = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
+        felt = number_text(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {felt} sigma (rms)"
-        sentence += f" and shifts the targets by {number(moved, 2)} um (rms).{self._readings(gain)}"
+        sentence += f" and shifts the targets by {number_text(moved, 2)} um (rms).{self._readings(gain)}"
         return Finding(
             effect=name,
             known=hypothesis.is_catalogued,
@@ -236,7 +236,7 @@ class Explained:
             name = recording.instruments[self._instrument(effect)]
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
-            sigmas = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in declared)
+            sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
             return f" Its declared prior is zero with a standard deviation of {sigmas}."
         implausible = " Such a size is hardly plausible for this cause: check other causes too."
         return implausible if _implausible(effect, estimates) else ""
@@ -281,7 +281,7 @@ def noise_finding(
         if effect.group_kind:
             rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES]
             sure = [e for e in rows if e.value > SURE * e.sigma] or rows
-            worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
+            worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
         if effect.covariate_band:
@@ -293,7 +293,7 @@ def noise_finding(
             most = f", {region_text(effect.region)}"
             rows += [
                 Estimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
-                for axis, value in zip(effect.region.axes, effect.region.centre, strict=True)
+                for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
             ]
         sentence = outside_sentence(where, effect.text + most)
     return Finding(

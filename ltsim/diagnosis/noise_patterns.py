@@ -11,7 +11,7 @@ from ltsim.physics.laws.places import LawPlace, target_clusters
 from ltsim.physics.laws.regressor_library import additional_columns
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction, noise_covariate
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.scene.regions import regions_of
+from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
 EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0, 75.0)
@@ -60,7 +60,9 @@ def variance_functions(
             yield "repeating", VarianceFunction(acts, repetition=faces), EVERYWHERE
         for group in groups:
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
-    for region, acts in product(regions_of(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)):
+    for region, acts in product(
+        candidate_regions(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)
+    ):
         yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.evidence import shares, wide_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
@@ -155,7 +155,7 @@ def shape_posterior(
     Unlike the Laplace approximation they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty
     for effects without shape constants.
     """
-    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in estimates})
+    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates})
     if not shapes:
         return {}
     weight = shares(np.array([node.log_weight for node in shapes]))
@@ -170,6 +170,8 @@ def shape_posterior(
     )
     names = [*(p.name for p in effect.parameters), *shapes[0].constants]
     return {
-        name: Estimate(name=name, value=m / FACTOR[units[name]], sigma=d / FACTOR[units[name]], unit=units[name])
+        name: Estimate(
+            name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
+        )
         for name, m, d in zip(names, mean, sigma, strict=True)
     }

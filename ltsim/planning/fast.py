@@ -18,8 +18,8 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.geometry.rigid import determines_pose, rigid_motion
-from ltsim.geometry.rotations import about_z, cross_matrix
+from ltsim.geometry.rigid import determines_pose, rigid_motion_design
+from ltsim.geometry.rotations import cross_matrix, rotation_about_z
 from ltsim.physics.effects.air import turbulence_variance
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment_construction
@@ -133,7 +133,7 @@ class LayoutScorer:
         self._fixed_blocks(other, at.target_columns, at.pose_columns, values)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.used_observables
         self._fixes_datum_rotations = problem.structure.fixes_datum_rotations
-        self._target_motions = rigid_motion(survey.target_points) @ self._free_motions
+        self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
     def _fixed_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
         """Normal equations of gauge, control, levels and priors, in the order and units of this class."""
@@ -170,11 +170,11 @@ class LayoutScorer:
             face=face,
             repeat=np.ones(len(station), dtype=np.int64),
             time=slot[station] * visit + turn * survey.seconds_per_pointing,
-            position=position,
-            rotation=np.stack([about_z(float(angle)) for angle in yaw]),
-            points=survey.target_points,
-            nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
+            station_positions=position,
+            station_rotations=np.stack([rotation_about_z(float(angle)) for angle in yaw]),
+            target_points=survey.target_points,
+            nest_normals=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            is_reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
             station_names=tuple(survey.station_names[s] for s in slot),
             target_names=survey.target_names,
         )
@@ -201,8 +201,10 @@ class LayoutScorer:
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivatives by the target (n, 3, 3) and by the parameters (n, 3, P)."""
-        by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.n_parameters))
-        by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
+        by_point, by_value = self.construction.reading_design(
+            sightings.raw_readings, np.zeros(self.construction.n_parameters)
+        )
+        by_target = by_point @ np.swapaxes(sightings.station_rotations[sightings.station], 1, 2)
         reflectors = [
             replace(e, reflector_weights=acts[sightings.target]).design(sightings) for e, acts in self._incidence_errors
         ]

@@ -27,7 +27,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.unmodelled import air_covariance
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, unknown_name
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment_construction
 from ltsim.planning.survey import PlannedSurvey
@@ -250,7 +250,7 @@ def _displacements_by_error(
     extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - extra
     mean = _averaging_matrix(information)
-    _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.n_parameters))
+    _, by_reading, by_value = construction.linearised(sightings.raw_readings, np.zeros(construction.n_parameters))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.extra_columns])
@@ -312,7 +312,7 @@ def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
     """
     state = information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
-    motion = rigid_motion(state.target_points, state.target_points.mean(axis=0))
+    motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
     off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
     turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.station_rotations)
     turned = turned.reshape(stations, targets, 3, 3 * targets)

@@ -16,11 +16,11 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning.site import MIN_VISIBLE_TARGETS, StationPlacement
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PointEntry
-from ltsim.recordings.coordinates import Points, read_points as read_coordinates
-from ltsim.recordings.files import comma_number, shown
-from ltsim.recordings.settings import checked, read_toml
-from ltsim.scene.floor import areas_and_keep_outs, grid_over, grid_step, may_stand
-from ltsim.scene.visibility import visibility
+from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
+from ltsim.recordings.files import parse_comma_number, quoted_text
+from ltsim.recordings.settings import read_toml, validate_settings
+from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, grid_step, is_allowed_position
+from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, validate_scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
@@ -48,7 +48,7 @@ def plan_text(name: str) -> str:
     path = BUILTIN_FOLDER / f"{name}.toml"
     if not path.is_file():
         near = _similar_names(name, plan_names())
-        raise SetupError(f"{shown(name)}: there is no built-in plan of this name; did you mean {near}?")
+        raise SetupError(f"{quoted_text(name)}: there is no built-in plan of this name; did you mean {near}?")
     return path.read_text(encoding="utf-8")
 
 
@@ -61,12 +61,12 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
         near = _similar_names(name, plan_names())
-        raise SetupError(f"{shown(name)}: there is no such file, and no built-in plan; did you mean {near}?")
+        raise SetupError(f"{quoted_text(name)}: there is no such file, and no built-in plan; did you mean {near}?")
     with as_setup_error():
         data = read_toml(path, "plan")
         if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
-        made = checked(data, PlanFile, "plan", path)
+        made = validate_settings(data, PlanFile, "plan", path)
     made = made.model_copy(update=_with_defaults(made, path))
     scenario = _scenario_of_plan(made, data, path)
     if made.air is not None:
@@ -127,11 +127,13 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
         for name in wanted:
             if name not in names:
                 near = _similar_names(name, names)
-                raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
+                raise SetupError(
+                    f"{file}: {key} names '{quoted_text(name)}', which does not exist; did you mean {near}?"
+                )
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     for name in new_names:
         if new_names.count(name) > 1 or name in scenario.target_names:
-            raise SetupError(f"{file}: reflectors has the name '{shown(name)}' twice, or a target has it")
+            raise SetupError(f"{file}: reflectors has the name '{quoted_text(name)}' twice, or a target has it")
 
 
 def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
@@ -158,21 +160,21 @@ def read_points(path: Path) -> tuple[PointEntry, ...]:
     columns = list(PointEntry.model_fields)[4:]
     with as_setup_error():
         table = read_coordinates(path)
-        for name in table.further:
+        for name in table.additional_columns:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
-                raise RecordError(f"has the unknown column '{shown(name)}'; {wanted}", file=path)
+                raise RecordError(f"has the unknown column '{quoted_text(name)}'; {wanted}", file=path)
         return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
 
 
-def _point_from_table(table: Points, i: int, path: Path) -> PointEntry:
-    where: dict[str, Any] = {"file": path, "row": table.lines[i]}
+def _point_from_table(table: PointList, i: int, path: Path) -> PointEntry:
+    where: dict[str, Any] = {"file": path, "row": table.line_numbers[i]}
 
     def further(column: str, usual: float | None) -> float | None:
-        text = table.further[column][i] if column in table.further else ""
+        text = table.additional_columns[column][i] if column in table.additional_columns else ""
         if not text:
             return usual
-        value = comma_number(text, column=column, **where)
+        value = parse_comma_number(text, column=column, **where)
         if not (value > 0 or (value == 0 and column == "weight")):
             raise RecordError(f"found {value:g}, expected a positive number", column=column, **where)
         return value
@@ -181,7 +183,7 @@ def _point_from_table(table: Points, i: int, path: Path) -> PointEntry:
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
         raise RecordError("found nothing, expected a number", column=missing, **where)
-    group = table.further["group"][i] if "group" in table.further else ""
+    group = table.additional_columns["group"][i] if "group" in table.additional_columns else ""
     rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
     try:
         return PointEntry.model_validate({"name": table.names[i], "group": group, **place, **rest})
@@ -189,7 +191,7 @@ def _point_from_table(table: Points, i: int, path: Path) -> PointEntry:
         first = problem.errors()[0]
         wanted = first["msg"].removeprefix("Value error, ")
         raise RecordError(
-            f"found {shown(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **where
+            f"found {quoted_text(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **where
         ) from None
 
 
@@ -245,11 +247,13 @@ def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) ->
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)
     obstacles, points = make_obstacles(scenario), planned_layout(scenario).target_points
-    grid = np.concatenate([grid_over(area, grid_step(areas, plan_file.search.grid_mm), 1) for area in areas])
-    grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
+    grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_mm), 1) for area in areas])
+    grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise SetupError("the floor has no place for a tripod; enlarge it, move obstacles, or give a smaller grid_mm")
-    visible = visibility(grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
+    visible = compute_visibility(
+        grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
+    ).is_visible
     useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
     if not useful.any():
         raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from ltsim.calibration.combinations import UndeterminedEntry
-from ltsim.core.units import FACTOR, MICROMETRE, MILLIMETRE
+from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
 from ltsim.planning.objective import TARGETS_QUALITY
 from ltsim.planning.plan_change import to_degrees, to_millimetres
 from ltsim.planning.tolerances import ToleranceCheck, is_met, percent_text
@@ -239,7 +239,7 @@ class LayoutEntry(ProcedureEntry):
             expected_improvement=None
             if layout.expected_criteria is None
             else ImprovementEntry.from_criteria(layout.expected_criteria),
-            blocked_sights=tuple(layout.visibility.lost(survey.station_names, survey.target_names)),
+            blocked_sights=tuple(layout.visibility.invisible_pair_sentences(survey.station_names, survey.target_names)),
             **cls._procedure_fields(survey, layout.qualities),
             **extra_fields,
         )
@@ -332,7 +332,7 @@ class DetectableSize(Entry):
     @classmethod
     def from_minimal_size(cls, row: MinimalSize) -> Self:
         """Entry of a minimal detectable size in units of display."""
-        factor = FACTOR[row.unit]
+        factor = SI_PER_UNIT[row.unit]
         return cls(
             effect=row.effect,
             parameter=row.parameter,

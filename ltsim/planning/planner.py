@@ -25,7 +25,7 @@ from ltsim.planning.tolerances import (
 )
 from ltsim.planning.workshop import is_immovable_target, layout_objective, make_search_space, planned_survey
 from ltsim.recordings.setup import Target
-from ltsim.scene.visibility import Visibility, aimed_normals, visibility
+from ltsim.scene.visibility import Visibility, aim_nest_normals, compute_visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
@@ -164,7 +164,7 @@ def evaluate_layout(
 ) -> LayoutEvaluation:
     """Evaluation of a layout before measurement; raises NetworkError for undetermined poses or targets."""
     table = layout_visibility(search_space, survey)
-    survey = survey.replace(is_visible=table.visible)
+    survey = survey.replace(is_visible=table.is_visible)
     information = LayoutInformation.from_survey(with_aimed_nests(search_space, survey), construction)
     broken = search_space.broken_rules(survey)
     value, qualities = objective_and_qualities(survey, objective, construction)
@@ -175,8 +175,8 @@ def evaluate_layout(
 
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
     """Visibility between stations and targets, with fixed nests (including chosen ones) aimed at the stations."""
-    normal, aimed = aimed_normals(survey.station_positions, survey.target_points)[0], _is_aimed(search_space, survey)
-    return visibility(
+    normal, aimed = aim_nest_normals(survey.station_positions, survey.target_points)[0], _is_aimed(search_space, survey)
+    return compute_visibility(
         survey.station_positions,
         survey.target_points,
         search_space.sight_limits,
@@ -195,7 +195,7 @@ def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
 
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
     """Survey whose set-up contains the directions in which its fixed nests are aimed at its stations."""
-    targets, normals = dict(survey.setup.targets), aimed_normals(survey.station_positions, survey.target_points)[0]
+    targets, normals = dict(survey.setup.targets), aim_nest_normals(survey.station_positions, survey.target_points)[0]
     for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
         name = survey.target_names[at]
         aim = {"nest_normal": tuple(normals[at].tolist()), "reaimed": False}

@@ -159,7 +159,9 @@ def _reference_sentence(plan: PlannedNetwork) -> list[str]:
         return ["The scenario's layout does not determine its poses and targets; the layout of the plan does."]
     sentences = []
     if reference.broken_rules:
-        lost = reference.visibility.lost(reference.survey.station_names, reference.survey.target_names)
+        lost = reference.visibility.invisible_pair_sentences(
+            reference.survey.station_names, reference.survey.target_names
+        )
         why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
         sentences.append(
             f"The scenario's layout breaks rules of the plan: {broken_rules_text(reference.broken_rules)}{why}."
@@ -261,7 +263,7 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
                 f"{listing(under, MAX_LISTED_NAMES)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved body, "
                 "within the tolerance of its mesh, and are treated as on its surface."
             )
-    lost = plan.layout.visibility.lost(names, survey.target_names)
+    lost = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
     if lost:
         more = "; and more" if len(lost) > 3 else ""
         sentences.append(f"{len(lost)} sights are blocked: {'; '.join(lost[:3])}{more}.")

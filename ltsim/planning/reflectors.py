@@ -17,7 +17,7 @@ from ltsim.planning.fast import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.scene.visibility import aimed_normals
+from ltsim.scene.visibility import aim_nest_normals
 
 MAX_SWEEPS = 8
 """Largest number of rounds of exchanges."""
@@ -216,7 +216,7 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
         search_space.min_sights, len(survey.station_positions)
     )
     if search_space.is_aimed_nest.any():
-        good &= aimed_normals(survey.station_positions, places)[1] <= search_space.sight_limits.acceptance
+        good &= aim_nest_normals(survey.station_positions, places)[1] <= search_space.sight_limits.max_incidence
     return good
 
 

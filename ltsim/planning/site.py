@@ -19,9 +19,9 @@ from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
 from ltsim.core.values import ValueEquality
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.scene.floor import Area, KeepOut, grid_over, may_stand, reason_against
+from ltsim.scene.floor import KeepOutArea, StandingArea, grid_over_area, is_allowed_position, refusal_reason
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
+from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
 
 MIN_VISIBLE_TARGETS = 3
 """Smallest number of visible targets of a station."""
@@ -79,13 +79,13 @@ class SearchSpace(ValueEquality):
 
     survey: PlannedSurvey
     """Initial layout: targets, gauge, noise, order of measurement."""
-    allowed_areas: tuple[Area, ...]
+    allowed_areas: tuple[StandingArea, ...]
     """Areas where tripods may stand."""
     sight_limits: SightLimits
     is_aimed_nest: Bools
     """Flags (T,) of the targets in fixed nests, which are aimed for every layout and must serve all its stations."""
     obstacles: Obstacles | None = None
-    forbidden_areas: tuple[KeepOut, ...] = ()
+    forbidden_areas: tuple[KeepOutArea, ...] = ()
     """Areas where no tripod may stand, even inside `allowed_areas`."""
     min_station_spacing: float = 1.0
     """Smallest distance between stations [m]."""
@@ -112,23 +112,23 @@ class SearchSpace(ValueEquality):
 
     def is_allowed(self, position: Floats) -> Bools:
         """Flags (N,) of the positions at which a tripod may stand."""
-        return may_stand(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
+        return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
         """Flags (N, T) of the targets visible within the position tolerance; nests are aimed later and not tested."""
         goal = self.survey.target_points if points is None else points
-        table = visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
-        turn = self.position_tolerance / table.range_
+        table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
+        turn = self.position_tolerance / table.ranges
         lowest = max(self.sight_limits.elevation_min, 0.5 * (self.sight_limits.cone_opening - np.pi))
         good: Bools = (
-            table.visible
-            & (table.elevation - turn >= lowest)
-            & (table.elevation + turn <= self.sight_limits.elevation_max)
+            table.is_visible
+            & (table.elevations - turn >= lowest)
+            & (table.elevations + turn <= self.sight_limits.elevation_max)
         )
-        good &= table.range_ - self.position_tolerance >= self.sight_limits.range_min
+        good &= table.ranges - self.position_tolerance >= self.sight_limits.range_min
         if self.obstacles is not None and self.position_tolerance:
             s, t = np.nonzero(good)
-            good[s, t] = ~self.obstacles.blocked_near(
+            good[s, t] = ~self.obstacles.is_blocked_near(
                 position[s], self.obstacles.moved_to_surface(goal)[t], self.position_tolerance
             )
         return good
@@ -151,7 +151,7 @@ class SearchSpace(ValueEquality):
         names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
-            if why := reason_against(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
+            if why := refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
         for s, t in np.argwhere(
             np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE
@@ -205,13 +205,15 @@ class SearchSpace(ValueEquality):
         """Flags (B, N) of the fixed nests that can be aimed so that all stations are within the acceptance angle."""
         back = position[:, None] - self.survey.target_points[self.is_aimed_nest][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
-        cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, MAX_NEST_AIMING_STEPS))
+        cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
-        return np.asarray(incidence.max(axis=2) < self.sight_limits.acceptance - NEST_ANGLE_MARGIN)
+        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
 
     def invisible_targets_sentence(self, hidden: Ints) -> str:
         """Sentence on targets that no place on the floor sees, with a remedy."""
-        held = hidden[self.obstacles.holds(self.survey.target_points[hidden])] if self.obstacles else hidden[:0]
+        held = (
+            hidden[self.obstacles.is_inside_body(self.survey.target_points[hidden])] if self.obstacles else hidden[:0]
+        )
         names, within = ([self.survey.target_names[t] for t in indices] for indices in (hidden, held))
         low, high = (1e3 * height for height in self.head_heights)
         cure = "raise the heads (floor.height_mm), enlarge the floor, or move the hidden targets"
@@ -230,7 +232,7 @@ class SearchSpace(ValueEquality):
 
     def grid_places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) [m] of a grid at which a tripod may stand."""
-        grid = np.concatenate([grid_over(area, step, heights) for area in self.allowed_areas])
+        grid = np.concatenate([grid_over_area(area, step, heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
     def greedy_placement(self, step: float, heights: int) -> StationPlacement:

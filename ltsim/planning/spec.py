@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
@@ -211,7 +211,7 @@ class PlanFile(TomlSection):
     """Reflectors, as in a scenario file."""
     work: Work | None = None
     """Order and timing of the measurement, as in a scenario file; the default order is as listed."""
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, included in all results; default that of the scenario."""
     floor: Floor = Floor()
     """Areas where tripods may or may not stand."""

@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.parallel import parallel
+from ltsim.core.parallel import run_parallel
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, StationLayout
@@ -107,7 +107,9 @@ def run_searches(
     jobs = min(jobs, len(tasks))
     work = ((problem, task, n, *(running(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
-        for number, layout in parallel(_layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, ordered=False):
+        for number, layout in run_parallel(
+            _layout_of_start if jobs == 1 else _layout_in_worker, work, jobs, ordered=False
+        ):
             finished += 1
             share(finished / len(tasks))
             best.pop(number, None)

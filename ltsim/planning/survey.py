@@ -11,10 +11,10 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints, as_floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
 from ltsim.recordings.setup import Setup, Station
 from ltsim.scene.sightings import Sightings
@@ -54,7 +54,7 @@ class PlannedSurvey:
     target_weights: Mapping[str, float] = field(default_factory=dict)
     """Weight of targets by name in the root mean square of point errors; default 1."""
 
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Air that a search includes; None if no line of sight can be long enough. Final results use that of the set-up."""
 
     def __post_init__(self) -> None:
@@ -113,7 +113,7 @@ class PlannedSurvey:
     @property
     def station_rotations(self) -> Floats:
         """Instrument frame to network frame, (S, 3, 3)."""
-        return np.stack([about_z(float(yaw)) for yaw in self.station_yaws])
+        return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
     def nominal_state(self, construction: Construction) -> NetworkState:
         """Nominal state: a perfect instrument at the planned positions."""

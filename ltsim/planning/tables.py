@@ -141,11 +141,11 @@ PLAN_TABLES = (
 
 def make_visibility_table(layout: LayoutEvaluation) -> Table:
     """Table `visibility.csv`: every pair of station and target."""
-    words, table, survey = layout.visibility.words(), layout.visibility, layout.survey
+    words, table, survey = layout.visibility.reason_texts(), layout.visibility, layout.survey
     return VISIBILITY_TABLE.filled(
         [
-            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
-            round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
+            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.ranges[s, t]) * 1e3, 1),
+            round(float(table.elevations[s, t]) / DEGREE, 2), round(float(table.incidence_angles[s, t]) / DEGREE, 2),
         ]
         for s, station in enumerate(survey.station_names)
         for t, target in enumerate(survey.target_names)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
-from ltsim.core.arguments import MOVE_FORM, check_bounds, check_mapping
+from ltsim.core.arguments import MOVE_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, option, unknown_name
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -22,7 +22,7 @@ from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, check_tolerances, checks_after_required_losses, plan_verdict
 from ltsim.planning.workshop import unsearched_plan
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
@@ -121,11 +121,11 @@ def next_measurement(
     >>> proposals.proposals[0].sharper < 1
     True
     """
-    measured = recording_of(recording)
+    measured = load_recording(recording)
     made = ranked(
         measured, explanations=between, with_effects=with_effects, minutes_per_move=minutes_per_move, progress=progress
     )
-    return NextMeasurement.from_ranking(made, SourceEntry.of(measured))
+    return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured))
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _position_numbers(name: str, given: object) -> Floats:
     except (TypeError, ValueError):
         place = np.zeros(0)
     if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
-        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_FORM}")
+        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {MOVE_SYNTAX}")
     return place
 
 

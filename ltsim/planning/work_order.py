@@ -130,7 +130,7 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, visible: Bools) -> list[Tap
     level = [TapeDistance.from_station(name, point, place, floor=True) for name, point in plumbed]
     if obstacles is not None:
         ends = np.array([[*mark.end_point[:2], FREE_TAPE_HEIGHT] for mark in level])
-        blocked = obstacles.blocked(np.tile([*place[:2], FREE_TAPE_HEIGHT], (len(ends), 1)), ends)
+        blocked = obstacles.is_blocked(np.tile([*place[:2], FREE_TAPE_HEIGHT], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
     reachable = {mark.end_name for mark in level}
     straight = [

@@ -16,10 +16,10 @@ from ltsim.planning.site import SearchSpace
 from ltsim.planning.spec import WALLS_NAME, PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import point_weights
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.floor import areas_and_keep_outs
-from ltsim.scene.meshes import nest_places, walls
+from ltsim.scene.meshes import candidate_nest_places, wall_triangles
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
@@ -64,7 +64,7 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
         station_positions=layout.station_positions,
         station_yaws=np.arctan2(layout.station_rotations[:, 1, 0], layout.station_rotations[:, 0, 0]),
         target_points=layout.target_points,
-        is_visible=make_visibility(scenario, layout).visible,
+        is_visible=make_visibility(scenario, layout).is_visible,
         faces=tuple(range(1, work.faces + 1)),
         repeats=work.repeats,
         seconds_per_pointing=work.seconds_per_pointing,
@@ -89,7 +89,12 @@ def make_search_space(
     plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1
 ) -> SearchSpace:
     """Search space of a plan with a number of stations and a measuring procedure."""
-    survey, layout, mm, air = planned_survey(scenario), planned_layout(scenario), MILLIMETRE, scenario.air or Air()
+    survey, layout, mm, air = (
+        planned_survey(scenario),
+        planned_layout(scenario),
+        MILLIMETRE,
+        scenario.air or AirUncertainty(),
+    )
     levels, moves = survey.station_positions[:, 2], plan.budget.minutes_per_move
     areas, keep_outs = areas_and_keep_outs(
         plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max()))
@@ -109,7 +114,7 @@ def make_search_space(
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
             target_weights=point_weights(plan),
-            air=air if air.counts(float(longest)) else None,
+            air=air if air.is_relevant(float(longest)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move if moves is None else 60.0 * moves,
         ),
@@ -190,11 +195,11 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
 def _places_on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     """Places (P, 3) [mm], rounded to a millimetre, on the surfaces of an obstacle or on the walls."""
     if body == WALLS_NAME:
-        triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
+        triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
         triangles = np.concatenate([part.triangles for part in placed_obstacles(scenario) if part.name == body])
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = nest_places(triangles, standoff, spacing, make_obstacles(scenario), closed=body != WALLS_NAME)
+    places = candidate_nest_places(triangles, standoff, spacing, make_obstacles(scenario), closed=body != WALLS_NAME)
     return np.asarray(np.round(places / MILLIMETRE))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from ltsim.acceptance import files as acceptance
-from ltsim.acceptance.spec import Acceptance
+from ltsim.acceptance.spec import AcceptanceSettings
 from ltsim.adjustment.evaluation.bench import BENCH_TABLE, BenchFile
 from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE, Criteria
 from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE, Check
@@ -62,7 +62,7 @@ FILES: dict[str, type[BaseModel]] = {
     "campaign.toml": CampaignFile,
     "plan.toml": PlanFile,
     "tasks.toml": Tasks,
-    "acceptance.toml": Acceptance,
+    "acceptance.toml": AcceptanceSettings,
 }
 """Models of all files, including those that users write, by name."""
 
@@ -75,9 +75,9 @@ TABLES: dict[str, tuple[Table, ...]] = {
     NextMeasurement.FILE: (PROPOSALS_TABLE,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS_TABLE),
     Check.FILE: (TWO_FACE_TABLE,),
-    comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
-    uncertainty.Uncertainty.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
-    acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
+    comparison.Comparison.FILE: (comparison.DISPLACEMENTS_TABLE,),
+    uncertainty.Uncertainty.FILE: (uncertainty.RESULTS_TABLE, uncertainty.BUDGET_TABLE),
+    acceptance.AcceptanceFile.FILE: (acceptance.TESTS_TABLE,),
     Recovery.FILE: (TRIALS_TABLE,),
 }
 """Companion tables by the name of their result file."""

@@ -16,8 +16,8 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
-from ltsim.scene.cad import read_mesh, size_question
-from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
+from ltsim.scene.cad import implausible_size_question, read_mesh
+from ltsim.scene.visibility import InvisibilityReason, Visibility, shadow_cone_opening, shadow_radii
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
@@ -84,12 +84,12 @@ class PlacedWorkshop(ValueEquality):
     @property
     def openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the shadow cones: by the elevation limit, and the alternative of the paper."""
-        limit = cone_opening(self.elevation_min)
+        limit = shadow_cone_opening(self.elevation_min)
         return (limit,) if abs(limit - SECOND_OPENING) < 1e-9 else (limit, SECOND_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
         """Radius on the floor of the cone with a full angle `opening`, (S,) [m]."""
-        return shadow_radius(self.position, self.floor_height, opening)
+        return shadow_radii(self.position, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
@@ -241,8 +241,8 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
     layout = planned_layout(scenario)
     table = make_visibility(scenario, layout)
     obstacles = make_obstacles(scenario)
-    hidden = int((~table.visible).sum())
-    lost = (f"{hidden} of {table.visible.size} lines of sight are blocked.",) if hidden else ()
+    hidden = int((~table.is_visible).sum())
+    lost = (f"{hidden} of {table.is_visible.size} lines of sight are blocked.",) if hidden else ()
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
     floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
     gauge = range(len(scenario.targets), len(layout.target_names))
@@ -260,7 +260,7 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
         sights=_sights(layout, table),
         obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        hidden=np.argwhere(table.reason == Reason.OBSTACLE),
+        hidden=np.argwhere(table.reasons == InvisibilityReason.OBSTACLE),
         notes=lost,
     )
 
@@ -274,12 +274,12 @@ def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: 
         When the file cannot be read, or its size is implausible.
     """
     cad = read_mesh(file, unit, up)
-    if asked := size_question(cad, np.ptp(workshop.floor, axis=0)):
+    if asked := implausible_size_question(cad, np.ptp(workshop.floor, axis=0)):
         raise SetupError(asked)
     return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
 
 
 def _sights(layout: WorkshopLayout, table: Visibility) -> Sights:
-    station, target = np.nonzero(table.visible)
-    elevation = table.elevation[station, target] / DEGREE
+    station, target = np.nonzero(table.is_visible)
+    elevation = table.elevations[station, target] / DEGREE
     return Sights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

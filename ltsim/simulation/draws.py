@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import trials_normal
+from ltsim.core.randomness import standard_normal_trials
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import Construction
@@ -76,7 +76,7 @@ class StandardNormalSource:
 
     def __call__(self, size: int, *stream_key: str | int) -> Floats:
         """Standard normal numbers (size, B) of a stream key."""
-        return trials_normal(self.seed, self.trials, size, *stream_key)
+        return standard_normal_trials(self.seed, self.trials, size, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
         """Sources of the single trials; shared draws are cached."""
@@ -88,7 +88,7 @@ class StandardNormalSource:
 class _SingleTrialSource(StandardNormalSource):
     """Source of standard normal numbers of one trial in a batch."""
 
-    batch_source: Callable[..., Floats] = trials_normal
+    batch_source: Callable[..., Floats] = standard_normal_trials
     trial_index: int = 0
 
     def __call__(self, size: int, *stream_key: str | int) -> Floats:
@@ -199,23 +199,25 @@ class TrialDistributions:
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
         """Lengths on the certificates, computed with the true coefficient and temperature and not the declared ones."""
         lengths = self.reference_lengths
-        growth = np.repeat(lengths.factor[:, None], len(normal_source.trials), axis=1)
-        for name, change in lengths.shared.items():
-            growth += (change / (lengths.length / lengths.factor))[:, None] * normal_source(1, name)
-        length = lengths.length[:, None] + self.length_change(effect_values)
+        growth = np.repeat(lengths.growth_factors[:, None], len(normal_source.trials), axis=1)
+        for name, change in lengths.shared_error_changes.items():
+            growth += (change / (lengths.lengths / lengths.growth_factors))[:, None] * normal_source(1, name)
+        length = lengths.lengths[:, None] + self.length_change(effect_values)
         draws = [
             normal_source(1, "cmm", self.length_end_names[a], self.length_end_names[b])
-            for a, b in zip(lengths.first, lengths.second, strict=True)
+            for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
         ]
         white = np.reshape(draws, growth.shape)
-        error = self.certificate_factor * lengths.certificate[:, None] * white
+        error = self.certificate_factor * lengths.certificate_sigmas[:, None] * white
         return CERTIFICATE_STEP * np.round((length / growth + error) / CERTIFICATE_STEP)
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true lengths by effects, (g, B) or (g, 1) [m]."""
-        lengths, total = self.reference_lengths, np.zeros((len(self.reference_lengths.length), 1))
+        lengths, total = self.reference_lengths, np.zeros((len(self.reference_lengths.lengths), 1))
         for law, amount in zip(self.effects, effect_values, strict=True):
-            design = law.effect.gauge_design(lengths.first, lengths.second, self.sightings.points)
+            design = law.effect.gauge_design(
+                lengths.first_targets, lengths.second_targets, self.sightings.target_points
+            )
             if np.any(design):
                 total = total + design @ amount
         return total

@@ -11,10 +11,10 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.randomness import stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction
-from ltsim.recordings.reflectors import excess_of
+from ltsim.recordings.reflectors import excess_radii_of_names
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
 from ltsim.simulation.physics import make_scenario_construction, scenario_effects
@@ -60,11 +60,11 @@ def make_geometry(
     layout = place_layout(scenario, seed, *key, plan=plan)
     table = make_visibility(scenario, layout)
     for s, name in enumerate(layout.station_names):
-        if not table.visible[s].any():
-            reason = table.words()[s][0]
+        if not table.is_visible[s].any():
+            reason = table.reason_texts()[s][0]
             raise SetupError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
-    sightings = _sightings(scenario, layout, table.visible, seed, *key)
-    sightings = replace(sightings, lift=true_smr_offsets(scenario, sightings, seed, *key))
+    sightings = _sightings(scenario, layout, table.is_visible, seed, *key)
+    sightings = replace(sightings, reflector_offsets=true_smr_offsets(scenario, sightings, seed, *key))
     return MeasurementGeometry(
         scenario=scenario,
         layout=layout,
@@ -85,7 +85,7 @@ def place_layout(scenario: Scenario, seed: int, *key: str | int, plan: WorkshopL
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
     tilt = [placing.tilt_deg * DEGREE if tilt_of_station is None else tilt_of_station for tilt_of_station in levelled]
     leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
-    yaws = np.array([about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
+    yaws = np.array([rotation_about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
     position += placing.station_mm * MILLIMETRE * draws[:, :3]
     rotation = leans @ yaws @ rotation
     moves = [stream(seed, *key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
@@ -100,12 +100,12 @@ def place_layout(scenario: Scenario, seed: int, *key: str | int, plan: WorkshopL
 
 
 def _hidden_pair_notes(layout: WorkshopLayout, table: Visibility) -> tuple[str, ...]:
-    lost = table.lost(layout.station_names, layout.target_names)
+    lost = table.invisible_pair_sentences(layout.station_names, layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
-    reasons = Counter(reason for line in table.kinds() for reason in line if reason)
+    reasons = Counter(reason for line in table.reason_kinds() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return (f"{len(lost)} of {table.visible.size} pairs of station and target have no line of sight: {counts}",)
+    return (f"{len(lost)} of {table.is_visible.size} pairs of station and target have no line of sight: {counts}",)
 
 
 def _sightings(scenario: Scenario, layout: WorkshopLayout, visible: Bools, seed: int, *key: str | int) -> Sightings:
@@ -128,11 +128,11 @@ def _sightings(scenario: Scenario, layout: WorkshopLayout, visible: Bools, seed:
         face=face,
         repeat=repeat,
         time=time,
-        position=layout.station_positions,
-        rotation=layout.station_rotations,
-        points=layout.target_points[pointed],
-        nest_normal=layout.nest_normals[pointed],
-        reaimed=layout.is_reaimed[pointed],
+        station_positions=layout.station_positions,
+        station_rotations=layout.station_rotations,
+        target_points=layout.target_points[pointed],
+        nest_normals=layout.nest_normals[pointed],
+        is_reaimed=layout.is_reaimed[pointed],
         station_names=layout.station_names,
         target_names=tuple(layout.target_names[k] for k in pointed),
         covariates=_air_sensor_readings(scenario, time),
@@ -214,12 +214,12 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *key: 
             f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
             "[smr] names one of them"
         )
-    aimed = np.isfinite(sightings.nest_normal[:, 0])
+    aimed = np.isfinite(sightings.nest_normals[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]
     bare = [name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal]
     with as_setup_error():
-        lengths = excess_of(names, targets, bare, reflectors, scenario.reference_radius_mm)
+        lengths = excess_radii_of_names(names, targets, bare, reflectors, scenario.reference_radius_mm)
     for name in dict.fromkeys(names):
         error = (reflectors[name].sigma_radius_mm or 0.0) * stream(seed, *key, "reflector", name).standard_normal()
         lengths[np.array(names) == name] += error * MILLIMETRE
-    return lengths[:, None] * np.nan_to_num(sightings.nest_normal)[sightings.target]
+    return lengths[:, None] * np.nan_to_num(sightings.nest_normals)[sightings.target]

@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
-from ltsim.geometry.expansion import Expansion
+from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.simulation.sections import Cmm, ScenarioGauge
 
 PAPER_TABLE_2_LENGTHS = MappingProxyType(
@@ -105,7 +105,7 @@ def points_from_distances(n_points: int, first: Ints, second: Ints, lengths: Flo
 def expansion_factor(gauge: ScenarioGauge, workshop_c: float) -> float:
     """Growth factor of all lengths from calibration to workshop."""
     measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
-    return Expansion.of(gauge.expansion_per_k, measured - gauge.calibrated_at_c).factor
+    return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
 
 
 def gauge_rotation(gauge: ScenarioGauge) -> Floats:

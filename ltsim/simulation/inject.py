@@ -14,9 +14,9 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Columns, Result, Table, numbers
+from ltsim.core.results import ColumnValues, Result, Table, numbers
 from ltsim.core.units import MICROMETRE, MICRORADIAN
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.signature import CandidateEffect
 from ltsim.physics.effects.verbs import display_constants
@@ -64,7 +64,7 @@ class InjectedEffect(Result):
     def _tables(self) -> dict[str, Any]:
         return {"parameters": self._size_table}
 
-    def _size_table(self) -> Columns:
+    def _size_table(self) -> ColumnValues:
         rows = self._parameter_entries()
         return {
             "parameter": [p.name for p, _ in rows],
@@ -172,14 +172,14 @@ class Injector:
         done, instrument = effect.measured_sightings(sightings), self.state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.residual_space.adjustment.problem.model.construction
-        moved, plain = (construction.readings(s.local, s.face, errors) for s in (done, sightings))
+        moved, plain = (construction.readings(s.local_points, s.face, errors) for s in (done, sightings))
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
-        return np.stack([change[:, 0], *wrap(change[:, 1:]).T], axis=1)
+        return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
     def length_change(self, effect: CandidateEffect, values: Floats) -> Floats:
         """Change (g,) [m] of the reference lengths by an effect."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
-        return effect.gauge_design(gauge.first, gauge.second, self.state.target_points) @ values
+        return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.state.target_points) @ values
 
     def added_noise_sigma(self, effect: NoiseEffect, values: Floats) -> Floats:
         """Standard deviation (n, 3) of the added noise."""
@@ -252,7 +252,7 @@ class Injector:
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
                 raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
-            made = with_certificates(made, certified + lengths * certified / gauge.length)
+            made = with_certificates(made, certified + lengths * certified / gauge.lengths)
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(

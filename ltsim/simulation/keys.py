@@ -3,9 +3,9 @@
 from typing import Any, Literal
 
 from ltsim.core.errors import LtsimError, SetupError
-from ltsim.core.units import in_unit, unit_of_key
+from ltsim.core.units import parse_in_unit, unit_of_key
 from ltsim.physics.effects import find_effect
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import schemas_at
 from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
@@ -57,9 +57,11 @@ def convert_value(scenario: Scenario, key: str, value: Any, where: str) -> Any:
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
     unit = unit_of(scenario, key)
-    number = in_unit(value, unit) if unit else None
+    number = parse_in_unit(value, unit) if unit else None
     if unit and number is None:
-        raise SetupError(f"{where}: {key} is '{shown(value)}', but it is in {unit}: write a number, or one of {unit}")
+        raise SetupError(
+            f"{where}: {key} is '{quoted_text(value)}', but it is in {unit}: write a number, or one of {unit}"
+        )
     return value if number is None else number
 
 

@@ -13,11 +13,11 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, make_effect
-from ltsim.recordings.air import Air
-from ltsim.recordings.files import SourceLocation, shown
-from ltsim.recordings.settings import checked, merge_defaults, read_toml, to_toml, with_instruments
+from ltsim.recordings.air import AirUncertainty
+from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.settings import merge_defaults, read_toml, to_toml, validate_settings, with_completed_instruments
 from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
-from ltsim.recordings.specification import sheet_names, tables_from_sheet
+from ltsim.recordings.specification import data_sheet_names, noise_and_prior_tables
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,
@@ -91,7 +91,7 @@ class Scenario(TomlSection, Result):
     """Set-ups in the order of measurement, tables `[stations.NAME]`."""
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
-    air: Air | None = None
+    air: AirUncertainty | None = None
     """Uncertainty of the air that the recording declares, a table `[air]`; it does not change readings."""
     effects: tuple[EffectEntry, ...] = ()
     """Effects in addition to the instrument's errors, tables `[[effects]]`."""
@@ -137,8 +137,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def validate_scenario(data: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its tables; `file` is named in errors, and its folder contains CAD files."""
     with as_setup_error():
-        whole = with_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
-        scenario = checked(whole, Scenario, "scenario", file)
+        whole = with_completed_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
+        scenario = validate_settings(whole, Scenario, "scenario", file)
     _check_scenario(scenario, file)
     return _resolve_paths(_with_exclusions(scenario, file), file)
 
@@ -153,7 +153,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     of_presets = sorted({section for sections in PRESETS.values() for section in sections})
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
-    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
+    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
     for key, value in [*((key, REMOVAL_VALUE) for key in brought), *changes.items()]:
         _set_key(table, key, _file_value(value, effects=key == "effects"), where or str(file))
@@ -186,9 +186,10 @@ def _set_key(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         else:
             inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
         if not isinstance(inner, (dict, list)):
-            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is not a table of the scenario")
+            through = f"{quoted_text(key)} goes through {quoted_text(name)}"
+            raise SetupError(f"{where}: {through}, which is not a table of the scenario")
     if not isinstance(inner, dict):
-        raise SetupError(f"{where}: {shown(key)} is not a key of a table; entries of a list are numbered from 1")
+        raise SetupError(f"{where}: {quoted_text(key)} is not a key of a table; entries of a list are numbered from 1")
     if value == REMOVAL_VALUE:
         inner.pop(last, None)
     else:
@@ -200,9 +201,8 @@ def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
     if data.get("base") is None:
         return data
     below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
-    return {
-        key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != REMOVAL_VALUE
-    }
+    merged = merge_defaults(data, below)
+    return {key: value for key, value in merged.items() if key != "base" and value != REMOVAL_VALUE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -210,10 +210,10 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
-    if name not in sheet_names():
+    if name not in data_sheet_names():
         return merge_defaults(instrument, PRESETS.get(str(name), {}))
     with as_setup_error(f"{file}: instrument.preset"):
-        below = tables_from_sheet(name, instrument, PointingLimits.model_fields)
+        below = noise_and_prior_tables(name, instrument, PointingLimits.model_fields)
     return merge_defaults(instrument, below)
 
 
@@ -310,7 +310,7 @@ def unknown_name_sentence(key: str, name: str, existing: Collection[str], none: 
     """Sentence for a name that is not in a list; `none` is the text for an empty list."""
     if name not in existing:
         listed = ", ".join([*existing][:MAX_LISTED_NAMES]) + (" ..." if len(existing) > MAX_LISTED_NAMES else "")
-        yield f"{key} names '{shown(name)}', which is not one of {listed or none}"
+        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or none}"
 
 
 def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
@@ -321,7 +321,7 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
         yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
     for name in names:
         if names.count(name) > 1:
-            yield f"gauge.targets names '{shown(name)}' twice, or it is a target of the mesh too"
+            yield f"gauge.targets names '{quoted_text(name)}' twice, or it is a target of the mesh too"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
@@ -333,11 +333,11 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:
-            yield f"stations.{station}.instrument names '{shown(name)}', which is not declared"
+            yield f"stations.{station}.instrument names '{quoted_text(name)}', which is not declared"
         yield from unknown_name_sentence(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
-            yield f"instruments.{shown(name)} is used at no station; name it as the instrument of a station"
+            yield f"instruments.{quoted_text(name)} is used at no station; name it as the instrument of a station"
     if "" not in scenario.trackers_in_use and scenario.instrument != ScenarioInstrument():
         yield "instrument is used at no station: every station names another instrument"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers_in_use.items()}
@@ -369,12 +369,12 @@ def _length_errors(scenario: Scenario) -> Iterator[str]:
         for key, name in (("from", length.from_), ("to", length.to)):
             yield from unknown_name_sentence(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
-            yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
+            yield f"lengths.{i} goes from '{quoted_text(length.to)}' to itself, expected two different targets"
         if length.material is not None:
             none_hint = "none, and a table [materials.NAME] defines one"
             yield from unknown_name_sentence(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR_TEMPERATURE_COLUMN:
-            given = shown(length.measured_at_c)
+            given = quoted_text(length.measured_at_c)
             yield f"lengths.{i}.measured_at_c is '{given}', expected a number or '{AIR_TEMPERATURE_COLUMN}'"
 
 

@@ -22,7 +22,7 @@ from ltsim.recordings.setup import (
     TomlSection,
     Vector,
 )
-from ltsim.recordings.specification import sheet_names
+from ltsim.recordings.specification import data_sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
@@ -58,8 +58,8 @@ misalignments that a knock leaves.
 
 
 def _existing_preset(name: str) -> str:
-    if name not in PRESETS and name not in sheet_names():
-        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {sheet_names()[0]}")
+    if name not in PRESETS and name not in data_sheet_names():
+        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {data_sheet_names()[0]}")
     return name
 
 

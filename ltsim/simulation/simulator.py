@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MILLIMETRE
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recordings.references import ReferenceLengths
@@ -87,13 +87,13 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
         face=s.face,
         repeat=s.repeat,
         time=s.time,
-        readings=s.raw,
+        readings=s.raw_readings,
         covariates=s.covariates,
         labels={REFLECTOR_COLUMN: smr_names_of_pointings(scenario, s)} if has_reflectors else {},
     )
     blank = with_exact_lengths(bare, geometry)
     return blank.replace(
-        notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.of(blank)))
+        notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.from_recording(blank)))
     )
 
 
@@ -108,7 +108,7 @@ def trial_distributions(geometry: MeasurementGeometry, error_free: Recording) ->
         instrument_means=mean,
         instrument_sigmas=sigma,
         noise_sigmas=nominal_noise(scenario, geometry.sightings),
-        reference_lengths=ReferenceLengths.of(error_free),
+        reference_lengths=ReferenceLengths.from_recording(error_free),
         length_end_names=error_free.targets,
         effects=effect_distributions(scenario, geometry.effects),
         certificate_factor=scenario.cmm.noise_factor,
@@ -124,7 +124,7 @@ def simulate_readings(
     `work.effects`, and `noise` (n, 3) [m, rad, rad] is added.
     """
     readings = exact_readings(geometry, instrument, values) + noise
-    readings[:, 1] = wrap(readings[:, 1])
+    readings[:, 1] = wrap_angle(readings[:, 1])
     readings = round_to_resolution(readings, instrument_resolutions(geometry.scenario)[geometry.sightings.instrument])
     for mistake in occurring_blunders(geometry.effects, values):
         readings = mistake.recorded_readings(geometry.sightings, readings)
@@ -143,7 +143,7 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, values: tu
     for mistake in occurring_blunders(geometry.effects, values):
         sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
-    readings = geometry.construction.readings(sightings.local, sightings.face, errors)
+    readings = geometry.construction.readings(sightings.local_points, sightings.face, errors)
     for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].stage):
         if not isinstance(geometry.effects[k], Blunder):
             readings = readings + geometry.effects[k].reading_change(sightings, values[k])
@@ -164,7 +164,7 @@ def _ineffective_reason(work: MeasurementGeometry, lengths: ReferenceLengths) ->
     for effect in work.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
             continue
-        if np.any(effect.gauge_design(lengths.first, lengths.second, work.sightings.points)):
+        if np.any(effect.gauge_design(lengths.first_targets, lengths.second_targets, work.sightings.target_points)):
             continue
         yield f"{effect.name} changes no reading here"
 
@@ -220,8 +220,8 @@ def _declared_targets(geometry: MeasurementGeometry) -> dict[str, Target]:
     for i, name in enumerate(s.target_names):
         reflector = scenario.targets[name].reflector if name in scenario.targets else None
         table[name] = Target(
-            nest_normal=tuple(s.nest_normal[i].round(4).tolist()) if np.isfinite(s.nest_normal[i]).all() else None,
-            reaimed=bool(s.reaimed[i]),
+            nest_normal=tuple(s.nest_normals[i].round(4).tolist()) if np.isfinite(s.nest_normals[i]).all() else None,
+            reaimed=bool(s.is_reaimed[i]),
             reflector=reflector or scenario.smr.reflector,
         )
     return table
@@ -235,11 +235,13 @@ def _truth_of_trial(
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
     if scenario.cmm.nominal:
-        nominal = measure_nominal_points(s.points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ()))
+        nominal = measure_nominal_points(
+            s.target_points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ())
+        )
     arrays = TruthArrays(
-        station_positions=s.position,
-        station_rotations=s.rotation,
-        target_points=s.points,
+        station_positions=s.station_positions,
+        station_rotations=s.station_rotations,
+        target_points=s.target_points,
         instrument_values=dict(zip(names, instrument.ravel().tolist(), strict=True)),
         effects=tuple(AppliedEffect(e, v) for e, v in zip(geometry.effects, values, strict=True)),
         nominal_points=nominal,
@@ -259,7 +261,7 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
 
     The lengths are those between the true positions of the reflectors.
     """
-    scenario, points = geometry.scenario, geometry.sightings.points
+    scenario, points = geometry.scenario, geometry.sightings.target_points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
     if gauge is None and not scenario.lengths:
         return recording
@@ -275,8 +277,10 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     lines = tuple(line for line, _ in lines_of_targets)
     nominal = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **gauge_keys)
     blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": nominal}))
-    there = ReferenceLengths.of(blank)
-    certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
+    there = ReferenceLengths.from_recording(blank)
+    certified = (
+        np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.growth_factors
+    )
     by_machine = length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
     return with_certificates(blank, certified, sigma)

@@ -13,12 +13,12 @@ from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.results import Table, numbers, texts
-from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.core.values import ValueEquality
-from ltsim.geometry.rotations import quaternion
+from ltsim.geometry.rotations import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import display_constants, make_effect
-from ltsim.recordings.files import shown, write_text
+from ltsim.recordings.files import quoted_text, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
 INSTRUMENT_TABLE = Table(
@@ -61,8 +61,8 @@ class TruthArrays(ValueEquality):
 
 def _checked_unit(unit: str) -> str:
     """The unit, checked to be known; raises ValueError."""
-    if unit not in FACTOR:
-        raise ValueError(f"'{shown(unit)}' is not a unit, expected one of {', '.join(FACTOR)}")
+    if unit not in SI_PER_UNIT:
+        raise ValueError(f"'{quoted_text(unit)}' is not a unit, expected one of {', '.join(SI_PER_UNIT)}")
     return unit
 
 
@@ -90,7 +90,7 @@ class TrueParameterValue(Entry):
     @property
     def si(self) -> float:
         """True value [SI]."""
-        return self.value * FACTOR[self.unit]
+        return self.value * SI_PER_UNIT[self.unit]
 
 
 class TrueInstrumentValue(TrueParameterValue):
@@ -104,7 +104,7 @@ class TrueInstrumentValue(TrueParameterValue):
         """Entry of a value [SI]; `flat_name` has the form of `Construction.instrument_parameter_names`."""
         name, _, instrument = flat_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
-        return cls(name=name, value=value / FACTOR[unit], unit=unit, **whose)
+        return cls(name=name, value=value / SI_PER_UNIT[unit], unit=unit, **whose)
 
     @property
     def flat_name(self) -> str:
@@ -230,7 +230,11 @@ class Truth(ResultFile):
                 ),
                 "effects": tuple(map(TrueEffect.from_applied, arrays.effects)),
                 "stations": tuple(
-                    TruePose(name=p.name, position_mm=p.position_mm, rotation_quaternion=quaternion(turn).tolist())
+                    TruePose(
+                        name=p.name,
+                        position_mm=p.position_mm,
+                        rotation_quaternion=quaternion_from_matrix(turn).tolist(),
+                    )
                     for p, turn in zip(
                         _point_entries(stations, arrays.station_positions), arrays.station_rotations, strict=True
                     )

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.scene.cad import CadFile, extent, inside, read_mesh, size_question
-from ltsim.scene.meshes import Obstacles, box, cylinder, joined_obstacles, transformed
-from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, joined_tables, visibility
+from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_room, read_mesh
+from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, place_triangles
+from ltsim.scene.visibility import SightLimits, Visibility, aim_nest_normals, compute_visibility, join_visibility_tables
 from ltsim.simulation.gauge import gauge_points_in_workshop, make_gauge_frame
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle, ScenarioInstrument
@@ -78,7 +78,7 @@ def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats
     reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():
-        normal[open_] = aimed_normals(position, points[open_])[0]
+        normal[open_] = aim_nest_normals(position, points[open_])[0]
     return normal, reaimed
 
 
@@ -90,8 +90,8 @@ def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightL
         elevation_max=limits.elevation_max_deg * DEGREE,
         range_min=limits.range_min_mm * MILLIMETRE,
         range_max=limits.range_max_mm * MILLIMETRE,
-        acceptance=scenario.smr.acceptance_deg * DEGREE,
-        opening=None if cone is None else cone * DEGREE,
+        max_incidence=scenario.smr.acceptance_deg * DEGREE,
+        declared_cone_opening=None if cone is None else cone * DEGREE,
     )
 
 
@@ -108,14 +108,14 @@ class PlacedObstacle:
     @property
     def description(self) -> str:
         """Text on a body: name, interpretation of its file, size and place."""
-        read = f" ({self.cad_file.file.name}, {self.cad_file.read_as})" if self.cad_file else ""
-        return f"{self.name or 'obstacle'}{read}: {extent(self.triangles)}"
+        read = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
+        return f"{self.name or 'obstacle'}{read}: {extent_text(self.triangles)}"
 
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
     """Obstacles of the lines of sight, or None in an empty workshop; raises SetupError."""
     parts = placed_obstacles(scenario)
-    return joined_obstacles(body.triangles for body in parts) if parts else None
+    return join_obstacles(body.triangles for body in parts) if parts else None
 
 
 def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
@@ -131,15 +131,15 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
             cad = read_mesh(Path(entry.file), entry.unit, entry.up)
             triangles = cad.triangles
         elif entry.box_mm is not None:
-            triangles = box(np.array(entry.box_mm) * MILLIMETRE)
+            triangles = box_triangles(np.array(entry.box_mm) * MILLIMETRE)
         elif entry.cylinder_mm is not None:
             diameter, height = np.array(entry.cylinder_mm) * MILLIMETRE
-            triangles = cylinder(float(diameter), float(height))
+            triangles = cylinder_triangles(float(diameter), float(height))
         else:
             raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
         body = PlacedObstacle(entry.name or f"obstacle {i}", _placed_triangles(entry, triangles), cad)
         if cad is not None and (
-            asked := size_question(cad, room) or _implausible_place_question(entry, body, cad, room)
+            asked := implausible_size_question(cad, room) or _implausible_place_question(entry, body, cad, room)
         ):
             raise SetupError(asked)
         parts.append(body)
@@ -147,20 +147,20 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
 
 
 def _placed_triangles(entry: Obstacle, triangles: Floats) -> Floats:
-    return transformed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+    return place_triangles(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
 
 
 def _implausible_place_question(entry: Obstacle, body: PlacedObstacle, cad: CadFile, room: Floats) -> str:
     """Question to the user about an obstacle that extends beyond the room; empty for none."""
-    if entry.beyond_room or inside(body.triangles, room):
+    if entry.beyond_room or is_inside_room(body.triangles, room):
         return ""
-    other = "z" if cad.up == "y" else "y"
-    turned = _placed_triangles(entry, cad.turned)
+    other = "z" if cad.vertical_axis == "y" else "y"
+    turned = _placed_triangles(entry, cad.with_other_vertical)
     size = " x ".join(f"{v:g}" for v in room)
     what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
-    fits = f'with up = "{other}" it is inside the room' if inside(turned, room) else "move it by position_mm"
+    fits = f'with up = "{other}" it is inside the room' if is_inside_room(turned, room) else "move it by position_mm"
     return (
-        f"{cad.file}: {what} of {size} m ({cad.read_as}: {extent(body.triangles)}); {fits}; "
+        f"{cad.file}: {what} of {size} m ({cad.interpretation_text}: {extent_text(body.triangles)}); {fits}; "
         "if this is correct, set beyond_room = true"
     )
 
@@ -173,7 +173,7 @@ def make_visibility(scenario: Scenario, layout: WorkshopLayout | None = None) ->
         [there.station_names.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers_in_use
     ]
     tables = [
-        visibility(
+        compute_visibility(
             there.station_positions[stations],
             there.target_points,
             make_sight_limits(scenario, tracker),
@@ -184,4 +184,4 @@ def make_visibility(scenario: Scenario, layout: WorkshopLayout | None = None) ->
         )
         for stations, tracker in zip(stations_of_tracker, scenario.trackers_in_use.values(), strict=True)
     ]
-    return joined_tables(tables, np.argsort(np.concatenate(stations_of_tracker)))
+    return join_visibility_tables(tables, np.argsort(np.concatenate(stations_of_tracker)))

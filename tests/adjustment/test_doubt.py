@@ -12,7 +12,7 @@ from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -42,7 +42,7 @@ def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
     assert adjustment_warnings(found) == ()
     assert verdict_on(found).agreement is VerdictCase.CLEAN
-    lt.adjust(with_known(noisy(), workshop()[1].target_points[:6] @ about_z(0.3).T + 5.0))
+    lt.adjust(with_known(noisy(), workshop()[1].target_points[:6] @ rotation_about_z(0.3).T + 5.0))
 
 
 @pytest.mark.long

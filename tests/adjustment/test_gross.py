@@ -19,7 +19,7 @@ SLIPS = {slip.name: slip for slip in UNIT_ERRORS}
 def written(recording: Recording, rows: np.ndarray, slip: TranscriptionError) -> Recording:
     """The recording with some rows written down in another unit."""
     readings = recording.readings.copy()
-    readings[rows] = slip.written(readings[rows])
+    readings[rows] = slip.with_error(readings[rows])
     return recording.with_readings(readings)
 
 
@@ -69,7 +69,7 @@ def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     target, readings = recording.target.copy(), recording.readings.copy()
     target[[first, second]] = target[[second, first]]
     unit, off = row_of(recording, s[1], "T07"), row_of(recording, s[3], "T20")
-    readings[unit] = SLIPS["gon"].written(readings[[unit]])[0]
+    readings[unit] = SLIPS["gon"].with_error(readings[[unit]])[0]
     readings[off, 0] += 12e-3
     found = adjust(recording.replace(target=target, readings=readings))
     (doubt,) = adjustment_warnings(found)

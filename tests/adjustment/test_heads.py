@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
-from ltsim.core.units import EARTH
+from ltsim.core.units import EARTH_RADIUS
 from ltsim.physics.model.measurement import with_plumb_lines
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
@@ -58,5 +58,5 @@ def test_plumb_lines_lean_outwards_on_a_sphere() -> None:
     curved = recording.replace(setup=recording.setup.model_copy(update={"curved": True}))
     place = np.array([[-300.0, 0.0, 1.0], [300.0, 0.0, 2.0], [0.0, 200.0, 0.0], [0.0, -200.0, 0.0]])
     leaning = [with_plumb_lines(curved, place).station_setup(name).vertical for name in recording.stations]
-    np.testing.assert_allclose(np.array(leaning)[:, :2] * EARTH, place[:, :2], atol=1e-6)
+    np.testing.assert_allclose(np.array(leaning)[:, :2] * EARTH_RADIUS, place[:, :2], atol=1e-6)
     assert with_plumb_lines(recording, place) is recording

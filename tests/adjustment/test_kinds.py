@@ -10,9 +10,9 @@ from ltsim.adjustment.fitting import multilaterate
 from ltsim.adjustment.start import initial_network
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import to_polar
-from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
@@ -290,7 +290,7 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
                 continue
             up = np.array([0.0, 0.0, 1.0])
             arm = marks[t] + target[t] * up - marks[mark] - instrument[s] * up
-            readings.append(to_polar((about_z(yaw[s]).T @ arm)[None])[0])
+            readings.append(to_polar((rotation_about_z(yaw[s]).T @ arm)[None])[0])
             rows.append((s, t))
     station, seen = np.array(rows, dtype=np.int64).T
     setup = Setup(
@@ -375,7 +375,7 @@ def test_known_points_may_have_a_full_covariance():
     shifted = points + 1e-3 * stream(3, "known").standard_normal(points.shape)
     roots = stream(3, "roots").uniform(0.3, 2.0, (len(points), 3, 3))
     found = []
-    for turn in (np.eye(3), about_z(0.7)):
+    for turn in (np.eye(3), rotation_about_z(0.7)):
         targets = {}
         for i in places:
             matrix = turn @ (roots[i] @ roots[i].T) @ turn.T
@@ -385,7 +385,9 @@ def test_known_points_may_have_a_full_covariance():
         found.append(adjust(with_setup(recording, targets=targets)))
         assert found[-1].solution.has_converged
     assert found[1].chi2 == pytest.approx(found[0].chi2, rel=1e-9)
-    np.testing.assert_allclose(found[1].state.target_points, found[0].state.target_points @ about_z(0.7).T, atol=1e-9)
+    np.testing.assert_allclose(
+        found[1].state.target_points, found[0].state.target_points @ rotation_about_z(0.7).T, atol=1e-9
+    )
     gap = found[0].state.target_points[places[0]] - shifted[places[0]]
     assert np.linalg.norm(gap) > 1e-4
     by_sigma = adjust(known(recording, shifted, places, known_sigma_mm=0.5))
@@ -454,7 +456,7 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
 
 def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
     recording, truth = network(seed=4)
-    turn, shift = about_z(0.7), np.array([30.0, -10.0, 2.0])
+    turn, shift = rotation_about_z(0.7), np.array([30.0, -10.0, 2.0])
     rough = truth.state.target_points @ turn.T + shift + 1e-3 * stream(1, "rough").standard_normal((28, 3))
     targets = {
         n: t.model_copy(update={"approximate_mm": tuple(1e3 * rough[i]), "datum": i % 2 == 0})
@@ -514,5 +516,5 @@ def test_a_network_in_plan_needs_no_elevations() -> None:
     found = adjust(recording.replace(readings=flat, setup=setup, labels={**recording.labels, **kind}))
     assert found.solution.has_converged
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)
-    turn, shift = align(found.state.target_points, points)
+    turn, shift = align_rigidly(found.state.target_points, points)
     assert np.abs(found.state.target_points @ turn.T + shift - points).max() < 1e-4

@@ -14,8 +14,8 @@ from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import align
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.alignment import align_rigidly
+from ltsim.geometry.polar import wrap_angle
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
@@ -177,7 +177,7 @@ def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None
     assert sound.rejected_references == ()
     assert sound.problem.free_motions.shape[1] == 3
     turned = sound.state.station_rotations[:, :, 0]
-    assert np.abs(wrap(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
+    assert np.abs(wrap_angle(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
     assert [(test.kind, test.name) for test in wrong.rejected_references] == [("yaw", "S3")]
     assert 3600 * np.degrees(wrong.rejected_references[0].error[0]) == pytest.approx(60.0, abs=6.0)
     assert "the azimuth zero of S3 is off by" in wrong.rejected_references[0].sentence
@@ -214,7 +214,7 @@ def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> Non
     assert (test.kind, test.is_excluded, len(test.indistinguishable_from)) == ("length", False, 1)
     told = lt.diagnose(with_two_lengths(recording, wrong, -wrong))
     assert [finding.carrier for finding in told.findings] == ["reference length"] * 2
-    rotation, shift = align(told.targets.points, truth.state.target_points)
+    rotation, shift = align_rigidly(told.targets.points, truth.state.target_points)
     off = told.targets.points @ rotation.T + shift - truth.state.target_points
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 20e-6
 

@@ -16,9 +16,9 @@ from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.randomness import stream
-from ltsim.geometry.polar import wrap
-from ltsim.measurands.inputs import Inputs
-from ltsim.measurands.spec import tasks_from
+from ltsim.geometry.polar import wrap_angle
+from ltsim.measurands.inputs import TaskInputs
+from ltsim.measurands.spec import validate_tasks
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.exchange import write
@@ -127,7 +127,7 @@ def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> Non
     exact = model.predict(state.incremented(pose, points, *zero)) - model.predict(
         state.incremented(-pose, -points, *zero)
     )
-    exact[:, 1] = wrap(exact[:, 1])
+    exact[:, 1] = wrap_angle(exact[:, 1])
     np.testing.assert_allclose(exact / 2, first, atol=1e-12)
     np.testing.assert_allclose(there.readings, model.predict(state), atol=1e-13)
 
@@ -224,18 +224,18 @@ def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
     recording, truth = lt.simulate(errs, seed=3)
     point = {"name": "p", "kind": "point", "targets": ["T12"]}
     stated = {"format": "ltsim-tasks/1", "source": "rec", "calibrate": False, "task": [point]}
-    inputs = Inputs.of(controlled(recording, truth), tasks_from(stated, "tasks.toml"))
+    inputs = TaskInputs.from_recording(controlled(recording, truth), validate_tasks(stated, "tasks.toml"))
     source = next(s for s in inputs.sources if s.name == "radius of small")
     normal = np.array(recording.target_setup("T12").nest_normal)
-    assert source.kind == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
-    np.testing.assert_allclose(1e3 * source.response[:, 0], 0.01 * normal, atol=1e-3)
+    assert source.evaluation_type == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
+    np.testing.assert_allclose(1e3 * source.point_response[:, 0], 0.01 * normal, atol=1e-3)
 
 
 def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
-    readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").written(readings[[row]])
+    readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").with_error(readings[[row]])
     selection = identify_causes(controlled(recording.with_readings(readings), truth))
     assert selection is not None
     (choice,) = selection.selected_hypotheses

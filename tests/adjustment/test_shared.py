@@ -59,4 +59,4 @@ def test_columns_are_kept_and_are_no_circumstance(recording: Recording, tmp_path
     np.testing.assert_allclose(
         read_shared_errors(again)[0].reading_changes, read_shared_errors(recording)[0].reading_changes, rtol=1e-9
     )
-    assert not any(name.startswith("shared_") for name in again.circumstances)
+    assert not any(name.startswith("shared_") for name in again.regressor_covariates)

@@ -10,7 +10,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
@@ -59,7 +59,7 @@ def tunnel(stations, each=50):
     along = 6.3 * (np.arange(count) // half) - 3.15 + rng.uniform(-2, 2, count)
     side = rng.choice([-2.0, 2.0], count) + rng.normal(0, 0.3, count)
     points = np.stack([along, side, rng.uniform(0.2, 3.0, count)], axis=1)
-    rotation = np.stack([about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
+    rotation = np.stack([rotation_about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
     ones = np.ones(stations * each, dtype=np.int64)
     recording = Recording(
         setup=Setup(),

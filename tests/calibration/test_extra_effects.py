@@ -12,7 +12,7 @@ from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.effects.station_settling import StationSettling
@@ -141,7 +141,7 @@ def test_the_command_line_says_it_and_refuses_it_elsewhere(
     ],
 )
 def test_constants_scatter_as_much_as_is_told(wanted: str, true: Effect, values: list[float]) -> None:
-    truth = getattr(true, true.shape_parameters[0].name) / FACTOR[true.shape_parameters[0].unit]
+    truth = getattr(true, true.shape_parameters[0].name) / SI_PER_UNIT[true.shape_parameters[0].unit]
     misses = []
     for seed in range(40):
         found = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
@@ -160,7 +160,7 @@ def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drif
     told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
     assert found.adjustment is not None
     state, spread = found.adjustment.state.extra_parameters, np.sqrt(np.diag(found.adjustment.extra_covariance))
-    unit = [FACTOR[p.unit] for p in told]
+    unit = [SI_PER_UNIT[p.unit] for p in told]
     assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
     assert [p.sigma for p in told] == pytest.approx(found.uncertainty_factor * spread / unit, rel=1e-6)
     stated = found.effects[0].parameters[-1]

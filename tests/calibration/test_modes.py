@@ -52,7 +52,7 @@ def test_the_diagnosis_names_the_mode() -> None:
 def test_one_mode_has_one_zero() -> None:
     recording, _ = network(seed=2)
     one = recording.replace(labels={"distance_mode": ("ifm",) * len(recording)})
-    assert "distance_mode" not in one.circumstances
+    assert "distance_mode" not in one.regressor_covariates
 
 
 @pytest.mark.long

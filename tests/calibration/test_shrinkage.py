@@ -11,7 +11,7 @@ from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_error_form, point_noise_rms
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.core.randomness import stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
@@ -121,7 +121,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
     assert found.correction.noise_um == pytest.approx(1e6 * stated)
     both = np.hypot(found.correction.corrected_um, found.correction.noise_um)
-    assert f"{number(both, 3)} um corrected (" in repr(found)
+    assert f"{number_text(both, 3)} um corrected (" in repr(found)
 
 
 @pytest.mark.parametrize("known", [False, True])

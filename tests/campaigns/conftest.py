@@ -48,7 +48,7 @@ def truth_of(
         instrument_means=np.zeros_like(sigma),
         instrument_sigmas=scale * sigma,
         noise_sigmas=recording.sigma(),
-        reference_lengths=ReferenceLengths.of(recording),
+        reference_lengths=ReferenceLengths.from_recording(recording),
         length_end_names=recording.targets,
         effects=effects,
     )

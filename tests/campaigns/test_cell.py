@@ -14,7 +14,7 @@ from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
@@ -66,14 +66,14 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     block = truth.draw_block(SEED, 0, 8)
     recording, true = lt.simulate(given, seed=SEED, trial=TRIAL)
     gap = truth.trial_readings(block, TRIAL) - recording.readings
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     step = truth.resolution[0]
     assert np.all(np.abs(gap) <= 1e-3 * recording.sigma() + 1.001 * step)
     assert np.mean(np.abs(gap) > 0.5 * step) < 0.02
     np.testing.assert_array_equal(block.instrument_values[0, :, TRIAL], list(true.instrument_values.values()))
     np.testing.assert_array_equal(block.effect_values[0][:, TRIAL], true.applied_effects[0].parameter_values)
-    lengths = truth.distributions.reference_lengths.length + block.length_errors[:, TRIAL]
-    np.testing.assert_allclose(lengths, ReferenceLengths.of(recording).length, rtol=0, atol=1e-9)
+    lengths = truth.distributions.reference_lengths.lengths + block.length_errors[:, TRIAL]
+    np.testing.assert_allclose(lengths, ReferenceLengths.from_recording(recording).lengths, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -83,7 +83,7 @@ def test_readings_of_every_scenario_are_those_of_simulate(name: str) -> None:
     block = truth.draw_block(SEED, 1)
     recording, _ = lt.simulate(given, seed=SEED, trial=300)
     gap = truth.trial_readings(block, 300 - 256) - recording.readings
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     assert np.mean(np.abs(gap) > 1e-12) < 0.01
 
 

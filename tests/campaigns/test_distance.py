@@ -12,10 +12,10 @@ from ltsim.calibration.objective import DistanceProblem
 from ltsim.campaigns.cloud_kernels import distance_forces
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import TRIAL_STATUSES, recording_of_trial
-from ltsim.campaigns.truth import BLOCK, CellTruth
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.physics.model.construction import misalignment_construction
 
-EVERY = np.arange(BLOCK)
+EVERY = np.arange(TRIALS_PER_STREAM)
 
 
 @pytest.mark.parametrize("faces", [1, 2])
@@ -36,15 +36,15 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
     batch = BatchDistance(truth, misalignment_construction())
     block = truth.draw_block(22, 0)
     sets, seen, share, gauge = batch._set_membership
-    clouds = np.zeros((*seen.shape, 3, BLOCK))
+    clouds = np.zeros((*seen.shape, 3, TRIALS_PER_STREAM))
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
         for k in (3, 4):
             raw = truth.recording.readings[i : i + 1] + block.reading_deviations[i : i + 1, :, k]
             clouds[s, t, :, k] += share[i] * misalignment_construction().point(raw, np.zeros(16))[0]
     clouds[..., :3] = clouds[..., 3:4]
     clouds[..., 5:] = clouds[..., 3:4]
-    length = batch.distance_problem.reference_lengths.length[:, None] + block.length_errors
-    cost = np.zeros(BLOCK)
+    length = batch.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
+    cost = np.zeros(TRIALS_PER_STREAM)
     distance_forces(clouds, seen, gauge, length, np.zeros_like(clouds), cost)
     for k in (3, 4):
         problem = DistanceProblem(

@@ -12,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.criteria import evaluate_criteria
 from ltsim.campaigns.engine import FULL_SOLVER, TRIAL_STATUSES, WITHOUT_RESULT, BatchCalibrator, recording_of_trial
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
-from ltsim.campaigns.truth import BLOCK, CellTruth
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
@@ -61,7 +61,7 @@ def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTrut
     block = engine.truth.draw_block(11, 2)
     found = engine.calibrate(block)
     assert np.all(found.status_indices == 0)
-    differences = [engine.largest_difference(block, k, found) for k in range(0, BLOCK, 64)]
+    differences = [engine.largest_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)]
     assert max(differences) < 2e-4
 
 
@@ -69,7 +69,7 @@ def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Cal
     engine = BatchCalibrator(make_truth(scale=10.0), misalignment_construction())
     block = engine.truth.draw_block(11, 0)
     found = engine.calibrate(block)
-    assert max(engine.largest_difference(block, k, found) for k in range(0, BLOCK, 64)) < 1e-3
+    assert max(engine.largest_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
 
 
 def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
@@ -188,7 +188,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
         block = silent.draw_block(18, 0)
         for k in (0, 200):
             exact = truth.construction.readings(
-                truth.sightings.local, truth.recording.face, block.instrument_values[0, :, k]
+                truth.sightings.local_points, truth.recording.face, block.instrument_values[0, :, k]
             )
             exact = exact + effect.reading_change(truth.sightings, block.effect_values[0][:, k])
             gap = silent.trial_readings(block, k) - exact

@@ -15,8 +15,8 @@ from ltsim.campaigns.engine import BatchCalibrator
 from ltsim.campaigns.kernels import compute_points
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.truth import BLOCK, CellTruth
-from ltsim.geometry.polar import wrap
+from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
 
 CONSTRUCTIONS = {"misalignment": misalignment_construction, "dh": dh_construction, "dh-4": lambda: dh_construction(4)}
@@ -31,16 +31,16 @@ def test_points_and_readings_are_those_of_the_construction(
     truth = make_truth(built, faces=faces)
     rng = np.random.default_rng(4)
     values = truth.distributions.instrument_sigmas[:, :, None] * rng.standard_normal(
-        (*truth.distributions.instrument_sigmas.shape, BLOCK)
+        (*truth.distributions.instrument_sigmas.shape, TRIALS_PER_STREAM)
     )
     deviation = truth._exact_deviations(values)
     points = np.empty_like(deviation)
     compute_points(truth.chain_program(truth.construction), truth.recording.instrument, deviation, values, points)
-    for k in range(0, BLOCK, 50):
+    for k in range(0, TRIALS_PER_STREAM, 50):
         raw = truth.recording.readings + deviation[:, :, k]
-        exact = built.readings(truth.sightings.local, truth.recording.face, values[0, :, k])
+        exact = built.readings(truth.sightings.local_points, truth.recording.face, values[0, :, k])
         gap = raw - exact
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(deviation[:, :, k]).max() > 1e-5
         assert np.abs(gap).max() < 5e-12  # 1e-6 sigma: second derivatives of the bases
         assert np.abs(points[:, :, k] - built.point(raw, values[0, :, k])).max() < 2e-11
@@ -49,15 +49,15 @@ def test_points_and_readings_are_those_of_the_construction(
 def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., CellTruth]) -> None:
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
-    values = np.zeros((1, 16, BLOCK))
+    values = np.zeros((1, 16, TRIALS_PER_STREAM))
     values[:, :7] = truth.distributions.instrument_sigmas[:, :7, None] * np.random.default_rng(5).standard_normal(
-        (1, 7, BLOCK)
+        (1, 7, TRIALS_PER_STREAM)
     )
     deviation = truth._exact_deviations(values)
-    for k in range(0, BLOCK, 50):
-        exact = truth.construction.readings(truth.sightings.local, truth.recording.face, values[0, :, k])
+    for k in range(0, TRIALS_PER_STREAM, 50):
+        exact = truth.construction.readings(truth.sightings.local_points, truth.recording.face, values[0, :, k])
         gap = truth.recording.readings + deviation[:, :, k] - exact
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(gap).max() < 1e-13
 
 
@@ -75,11 +75,15 @@ def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     size = network.end_indices[-1]
     rng = np.random.default_rng(6)
     spread = np.sqrt(np.diag(network.covariance))[:, None]
-    x = 3 * spread * rng.standard_normal((size, BLOCK))
+    x = 3 * spread * rng.standard_normal((size, TRIALS_PER_STREAM))
     direction = spread * rng.standard_normal((size, 1))
 
     def cost_and_gradient(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gradient, cost, predicted = np.empty_like(at), np.empty(BLOCK), np.zeros_like(block.reading_deviations)
+        gradient, cost, predicted = (
+            np.empty_like(at),
+            np.empty(TRIALS_PER_STREAM),
+            np.zeros_like(block.reading_deviations),
+        )
         for _ in range(3):  # the predicted readings settle
             network._gradient(at, block.reading_deviations, block.length_errors, predicted, gradient, cost)
         return cost, gradient

@@ -52,7 +52,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     assert [p.name for p in built.parameters] == ["range-offset", "range-scale", "transit-offset"]
     at = truth.sightings
     order = [at.target_names.index(name) for name in survey.target_names]
-    there = survey.replace(station_positions=at.position, target_points=at.points[order])
+    there = survey.replace(station_positions=at.station_positions, target_points=at.target_points[order])
     reducer, slots = LayoutScorer(there, built), np.arange(len(there.station_positions))
     fast = reducer.evaluate_layouts(
         reducer.normal_blocks(there.station_positions, there.station_yaws, slots, there.is_visible),

@@ -17,7 +17,7 @@ import pytest
 import ltsim as lt
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.core.errors import ModelError, SetupError
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.reports.document import TableBlock
 from ltsim.reports.figures.campaign import swept
 from ltsim.reports.figures.campaign_factors import cell_words
@@ -198,7 +198,7 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
     tables = {block.title: block for block in blocks if isinstance(block, TableBlock)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
         floors = [row[-2] for row in tables[title].rows]
-        means = [number(s.mean) for s in sweep.distribution(f"{prefix}error_true_parameters_um")]
+        means = [number_text(s.mean) for s in sweep.distribution(f"{prefix}error_true_parameters_um")]
         assert [floor.partition(" ")[0] for floor in floors] == means
     (listed,) = (block for block in blocks if block.title == "Definitions of the statistics")
     meanings = listed.text.splitlines()

@@ -11,7 +11,7 @@ import pytest
 from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
 from ltsim.core.errors import RecordError
-from ltsim.recordings.settings import checked
+from ltsim.recordings.settings import validate_settings
 from ltsim.simulation.scenario import change_scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 
@@ -69,4 +69,4 @@ def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None
 @pytest.mark.parametrize("method", [{"applied": True}, {"applied": True, "solver": "single", "method": "distance"}])
 def test_what_is_applied_is_known_of_single_networks_alone(method: dict[str, Any]) -> None:
     with pytest.raises(RecordError, match="solver single"):
-        checked({"format": "ltsim-campaign/1", "methods": [method]}, CampaignFile, "campaign", FILE)
+        validate_settings({"format": "ltsim-campaign/1", "methods": [method]}, CampaignFile, "campaign", FILE)

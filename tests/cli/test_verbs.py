@@ -15,7 +15,7 @@ import pytest
 import ltsim.cli
 from ltsim.cli.main import VERBS, run
 from ltsim.core.errors import ModelError
-from ltsim.core.notation import aligned
+from ltsim.core.notation import align_columns
 from ltsim.physics.effects import CATALOGUE, catalogue_entry
 from ltsim.recordings import read
 from ltsim.simulation.truth import read_truth
@@ -277,9 +277,9 @@ def test_folder_that_cannot_be_written(workplace: Path, capsys, tmp_path: Path) 
 
 
 def test_tables() -> None:
-    assert aligned(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
+    assert align_columns(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
     with pytest.raises(ModelError):
-        aligned(["a"], [["x", "y"]])
+        align_columns(["a"], [["x", "y"]])
 
 
 WITHOUT = """

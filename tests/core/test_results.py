@@ -57,15 +57,15 @@ class Cloud(Result):
 def test_a_table_is_written_and_read_back():
     text = POINTS.filled(ROWS).csv()
     assert text.splitlines()[1] == "'=T1,1000.123490,0.012300,12.5,True"
-    again = POINTS.parsed(text)
+    again = POINTS.parse_csv(text)
     assert again.column("target") == ["=T1", "T2"]
     assert again.column("moved") == [True, False]
     assert np.isnan(again.column("sigma_x_mm")[1])
     assert again.csv() == text
     with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is not a number"):
-        POINTS.parsed(text.replace("1000.123490", "one"))
+        POINTS.parse_csv(text.replace("1000.123490", "one"))
     with pytest.raises(RecordError, match="the column moved is missing"):
-        POINTS.parsed(text.replace("moved", "went"))
+        POINTS.parse_csv(text.replace("moved", "went"))
 
 
 def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():

@@ -10,7 +10,7 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.averaging import HARM, WORSE, averaged, first_order_change, model_weights, safe_share
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.geometry.rigid import without_rigid_motion
+from ltsim.geometry.rigid import remove_rigid_motion
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.regressors import smooth_regressor
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
@@ -52,7 +52,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     basis = points - points.mean(axis=0)
     linear = -case.searcher.space.target_shifts(first_order_change(case.searcher, found))
     expected, shift = (
-        without_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
+        remove_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
         for change in (fitted.adjustment.state.target_points - points, linear)
     )
     assert np.linalg.norm(expected) > 1e-5

@@ -13,7 +13,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.model.construction import misalignment_construction
@@ -113,7 +113,9 @@ def test_what_the_last_move_left_behind_is_no_noise():
     """Scatter to the eye: only the order of the work tells that it is none."""
     recording, state = workshop(9)
     sightings = sightings_of(recording, state)
-    change = design_from_front_face_corrections(sightings, elevation=np.abs(sightings.move[:, 1]) * sightings.range_)
+    change = design_from_front_face_corrections(
+        sightings, elevation=np.abs(sightings.reading_changes[:, 1]) * sightings.range_
+    )
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
     first = found.findings[0]
@@ -125,7 +127,7 @@ def test_what_the_last_move_left_behind_is_no_noise():
 def test_neighbours_that_move_together_are_found_together():
     recording, state = workshop(13)
     sightings = sightings_of(recording, state)
-    corner = np.argsort(np.linalg.norm(sightings.points - sightings.points[4], axis=1))[:7]
+    corner = np.argsort(np.linalg.norm(sightings.target_points - sightings.target_points[4], axis=1))[:7]
     sinks = np.isin(sightings.target, corner) * sightings.time / 3600.0
     change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
     found = diagnose(strengthened(recording, state, change)[0])
@@ -141,8 +143,8 @@ def test_neighbours_that_move_together_are_found_together():
 def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_first():
     recording, state = workshop(14)
     sightings = sightings_of(recording, state)
-    wall = sightings.points[:, 1] > np.median(sightings.points[:, 1])
-    leans = wall[sightings.target] * sightings.points[sightings.target, 2] * sightings.time
+    wall = sightings.target_points[:, 1] > np.median(sightings.target_points[:, 1])
+    leans = wall[sightings.target] * sightings.target_points[sightings.target, 2] * sightings.time
     change = design_from_displacements(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
     found = diagnose(strengthened(recording, state, change)[0])
     assert len(found.findings) == 1
@@ -158,7 +160,7 @@ def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
     """Every other target is measured with a larger ball, in two faces: no parity of the pointings tells that."""
     recording, state = workshop(16, faces=2)
     sightings = sightings_of(recording, state)
-    out = (sightings.seating % 2)[:, None] * np.nan_to_num(sightings.nest_normal[sightings.target])
+    out = (sightings.seating_numbers % 2)[:, None] * np.nan_to_num(sightings.nest_normals[sightings.target])
     found = diagnose(strengthened(recording, state, design_from_displacements(sightings, out[:, :, None])[:, :, 0])[0])
     assert [f.carrier for f in found.findings] == ["height of targets in their nests"]
     assert found.findings[0].driver == "the parity of the seatings (every other target)"
@@ -180,7 +182,7 @@ def test_a_stand_that_is_pumped_up_again_and_again_swings():
 
 def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square difference of coordinates after the best rigid fit [m]."""
-    rotation, translation = align(points, truth)
+    rotation, translation = align_rigidly(points, truth)
     return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))
 
 

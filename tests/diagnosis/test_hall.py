@@ -18,7 +18,7 @@ from ltsim.physics.effects.heat_plume import HeatPlume
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
-from ltsim.scene.regions import Region
+from ltsim.scene.regions import HallRegion
 from tests.networks import network
 
 
@@ -49,7 +49,7 @@ def centre(finding: Finding) -> dict[str, tuple[float, float]]:
 def middle_of_the_lines(adjustment: Adjustment, axes: str) -> tuple[float, ...]:
     """A place near the middle of the hall that many lines of sight pass."""
     sightings = adjustment.sightings
-    middle = sightings.position[sightings.station] + 0.5 * sightings.arm
+    middle = sightings.station_positions[sightings.station] + 0.5 * sightings.sight_vectors
     return tuple(np.median(middle, axis=0)[["xyz".index(axis) for axis in axes]].tolist())
 
 
@@ -66,9 +66,9 @@ def test_a_heat_plume_that_stands_in_the_hall_is_named_and_placed(clean) -> None
 
 @pytest.mark.long
 def test_ranges_that_are_longer_through_a_column_are_placed(clean) -> None:
-    column = Region("xy", middle_of_the_lines(clean[1], "xy"), 0.5)
+    column = HallRegion("xy", middle_of_the_lines(clean[1], "xy"), 0.5)
     change = np.zeros_like(clean[0].readings)
-    change[:, 0] = column.path(clean[1].sightings)
+    change[:, 0] = column.path_lengths(clean[1].sightings)
     finding, _ = changed(clean, change, 300.0)
     assert finding.where.observables == ("distance",) and finding.where.covariates == ("place",)
     assert "the path through" in finding.driver
@@ -110,7 +110,7 @@ def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -
     heavy = space.residuals + space.project(noise)[:, 0]
     bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
     best = bank.ranked(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
-    assert getattr(best.effect, "each", "") == "reading" and best.effect.observables == ("distance",)
+    assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
     fitted = most_likely(replace(space, residuals=heavy), space.sigma, best)
     added = np.array(fitted.values)[np.nonzero(space.used_readings)[0][ranges]]
     is_worse = np.isin(ranges, worse) & (np.abs(heavy[ranges]) > 3.0)

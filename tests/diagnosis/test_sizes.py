@@ -9,7 +9,7 @@ from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_of
@@ -37,7 +37,7 @@ def monitoring(epochs: int, rate: float) -> Recording:
         readings=np.zeros((rows, 3)),
     )
     values = drawn(misalignment_construction(), 2)[None]
-    state = NetworkState(np.array([[0.0, 0.0, 1.6]]), about_z(0.3)[None], REFLECTORS, values)
+    state = NetworkState(np.array([[0.0, 0.0, 1.6]]), rotation_about_z(0.3)[None], REFLECTORS, values)
     exact = MeasurementModel(recording, misalignment_construction()).predict(state)
     recording = recording.with_readings(exact)
     exact = exact + find_effect("index-drift")(law="linear").reading_change(

@@ -17,7 +17,7 @@ import pytest
 import ltsim as lt
 from experiments.intervals import share
 from ltsim.adjustment import adjust
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.nest_lift import NestLift
@@ -120,7 +120,7 @@ def test_both_simulators_read_the_same(number: int, tmp_path: Path) -> None:
     mine = hall.pointings.readings()
     recording = read(hall, mine, tmp_path)
     gap = mine - MeasurementModel(recording, misalignment_construction()).predict(state_of(hall, recording))
-    gap[:, 1] = wrap(gap[:, 1])
+    gap[:, 1] = wrap_angle(gap[:, 1])
     assert np.abs(gap).max() < 1e-9
     assert misalignment_construction().parameter_names == tracker.CONSTANTS
 
@@ -161,7 +161,7 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
             fits.append(np.abs(theirs - change.variance).max())
             continue
         mine = hall.pointings.readings(change) - hall.pointings.readings()
-        mine[:, 1] = wrap(mine[:, 1])
+        mine[:, 1] = wrap_angle(mine[:, 1])
         theirs = effect.reading_change(sightings, values)
         assert np.abs(mine).max() > 1e-6
         # The catalogue takes the geometry of the ideal tracker: errors of 1e-4 rad change a change by as much.

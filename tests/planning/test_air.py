@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.air import (
     reading_changes_per_sigma,
     turbulence_sigma_across_beam,
@@ -19,13 +19,13 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.workshop import make_search_space
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from tests.planning.fixtures import survey
 from tests.planning.test_hall import HALL, points_csv
 
 
 def test_the_points_move_as_an_adjustment_moves_them() -> None:
-    built, air = misalignment_construction(), Air(turbulence_um2_per_m3=0.0, beyond_mm=0.0)
+    built, air = misalignment_construction(), AirUncertainty(turbulence_um2_per_m3=0.0, beyond_mm=0.0)
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
     information = LayoutInformation.from_survey(made, built)
@@ -37,14 +37,14 @@ def test_the_points_move_as_an_adjustment_moves_them() -> None:
         change = np.where((sightings.station == station)[:, None], errors[..., cause], 0.0)
         read = recording.with_readings(recording.readings + change)
         shift = (adjust(read, built, start=made.nominal_state(built)).state.target_points - made.target_points).ravel()
-        motion = rigid_motion(made.target_points)
+        motion = rigid_motion_design(made.target_points)
         moved.append((shift - motion @ np.linalg.lstsq(motion, shift, rcond=None)[0]).reshape(-1, 3))
     expected = np.einsum("cti,ctj->tij", np.array(moved), np.array(moved))
     assert added == pytest.approx(expected, rel=1e-4, abs=1e-4 * expected.max())
 
 
 def test_sizes_along_and_across_the_beam_are_those_of_the_cards() -> None:
-    air = Air()
+    air = AirUncertainty()
     assert 1e6 * turbulence_sigma_along_beam(air, 40.0) == pytest.approx(0.5 * 0.954 * 40.0, rel=0.01)
     assert 1e6 * turbulence_sigma_across_beam(air, 40.0) == pytest.approx(
         np.hypot(0.5 * 0.0954 * 1600, np.sqrt(0.1 * 64000)), rel=0.01
@@ -59,7 +59,7 @@ def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path:
         file.write_text(text, encoding="utf-8")
         visible[text] = make_search_space(*load_plan(file), stations=3, faces=1).survey
     with_air, without = visible.values()
-    assert with_air.air == Air()
+    assert with_air.air == AirUncertainty()
     assert without.air is None
     assert make_search_space(*load_plan("paper-workshop"), stations=5, faces=2).survey.air is None
     larger = LayoutInformation.from_survey(with_air).target_rms

@@ -20,9 +20,9 @@ from ltsim.planning.site import SearchSpace, StationPlacement
 from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.reports.work_order import work_order_page
-from ltsim.scene.floor import Floor, areas_and_keep_outs, inside, may_stand, outline_error
-from ltsim.scene.meshes import cylinder, joined_obstacles
-from ltsim.scene.visibility import visibility
+from ltsim.scene.floor import Floor, areas_and_keep_outs, is_allowed_position, is_inside_outline, outline_error
+from ltsim.scene.meshes import cylinder_triangles, join_obstacles
+from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.workshop import make_sight_limits, planned_layout
 from tests.recordings.test_limits import VERB, means
 
@@ -84,9 +84,9 @@ def test_stations_begin_where_the_hall_allows_and_see_every_point(hall: Path) ->
     assert np.all(z[north] <= 2.0)  # a head needs 0.3 m under the ceiling
     assert not np.any((x > 4.0) & (x < 5.5) & (y < 2.8))
     assert np.all(np.hypot(np.maximum(12.0 - x, 0), np.maximum(np.maximum(5.5 - y, y - 7.0), 0)) > 1.5)
-    visible = visibility(
+    visible = compute_visibility(
         layout.station_positions, layout.target_points, make_sight_limits(scenario, scenario.instrument), obstacles=None
-    ).visible
+    ).is_visible
     assert visible.any(axis=0).all()
 
 
@@ -98,7 +98,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
     }  # fmt: skip
     areas, free = areas_and_keep_outs(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
     at = np.array([[0.5, 0.5, 1.5], [1.5, 1.5, 1.5], [0.5, 0.5, 1.9], [2.7, 3.0, 1.5], [2.5, 3.0, 1.5]])
-    assert may_stand(areas, free, None, at).tolist() == [True, False, False, False, True]
+    assert is_allowed_position(areas, free, None, at).tolist() == [True, False, False, False, True]
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,8 @@ def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
     assert "crosses" in outline_error(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
     assert "line" in outline_error(np.array([[0.0, 0], [1, 1], [2, 2]]))
     assert "corner 2 coincides" in outline_error(np.array([[0.0, 0], [0, 0], [2, 2]]))
-    assert inside(np.array([[0.0, 0], [1, 0], [0, 1]]), np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])).tolist() == [
+    places = np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])
+    assert is_inside_outline(np.array([[0.0, 0], [1, 0], [0, 1]]), places).tolist() == [
         True, True, False,
     ]  # fmt: skip
 
@@ -179,13 +180,13 @@ def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, se
 
 
 def test_a_cylinder_hides_what_its_diameter_covers() -> None:
-    there = joined_obstacles([cylinder(1.0, 2.0)])
+    there = join_obstacles([cylinder_triangles(1.0, 2.0)])
     origins, y = np.full((4, 3), [-3.0, 0.0, 1.0]), np.array([0.0, 0.49, 0.52, 0.0])
     origins[:, 1] = y
     ends = origins + [6.0, 0.0, 0.0]
     origins[3, 2] = ends[3, 2] = 2.1
-    assert there.blocked(origins, ends).tolist() == [True, True, False, False]
-    assert there.encloses(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
+    assert there.is_blocked(origins, ends).tolist() == [True, True, False, False]
+    assert there.is_enclosed(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
 
 
 def test_a_radius_holds_the_stated_share_of_errors() -> None:

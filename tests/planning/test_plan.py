@@ -132,7 +132,7 @@ def test_files_hold_what_a_tripod_needs(plan: PlannedNetwork, result: Plan, tmp_
     assert places == pytest.approx(plan.layout.survey.station_positions * 1e3, abs=0.06)
     assert all(row["sees"] == "yes" for row in table(tmp_path / "out" / "visibility.csv"))
     scenario = load_scenario(tmp_path / "out" / "scenario.toml")
-    assert make_visibility(scenario).visible.all()
+    assert make_visibility(scenario).is_visible.all()
     again = LayoutInformation.from_survey(planned_survey(scenario))
     assert again.instrument_sigmas == pytest.approx(plan.layout.information.instrument_sigmas, rel=2e-3)
 

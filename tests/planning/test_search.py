@@ -27,9 +27,9 @@ from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import SearchSpace
 from ltsim.planning.starts import PlanningProblem, SearchTask
-from ltsim.scene.floor import Area, inside
-from ltsim.scene.meshes import box, joined_obstacles, transformed
-from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
+from ltsim.scene.floor import StandingArea, is_inside_outline
+from ltsim.scene.meshes import box_triangles, join_obstacles, place_triangles
+from ltsim.scene.visibility import SightLimits, aim_nest_normals, compute_visibility
 from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
@@ -38,7 +38,11 @@ FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
 def site(stations: int = 3, **changes: object) -> SearchSpace:
     made = survey((1,), stations)
     whole = SearchSpace(
-        made, (Area(FLOOR, (1.5, 2.1)),), SightLimits(), is_aimed_nest=np.zeros(28, dtype=bool), min_sights=stations
+        made,
+        (StandingArea(FLOOR, (1.5, 2.1)),),
+        SightLimits(),
+        is_aimed_nest=np.zeros(28, dtype=bool),
+        min_sights=stations,
     )
     return whole.replace(**changes)
 
@@ -150,22 +154,22 @@ def test_a_fixed_station_stays() -> None:
 
 def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: ignore[no-untyped-def]
     """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
-    pillar = transformed(box(np.array([0.5, 0.5, 1.2])), np.array([*found.positions[0, :2], 0.0]), 0.0)
-    where = site(obstacles=joined_obstacles([pillar]))
+    pillar = place_triangles(box_triangles(np.array([0.5, 0.5, 1.2])), np.array([*found.positions[0, :2], 0.0]), 0.0)
+    where = site(obstacles=join_obstacles([pillar]))
     work = LayoutSearcher(where, grid_step=0.8, n_yaws=4, n_heights=1)
     assert work.evaluate_layout(found.positions, found.yaws).objective_value == np.inf
     made = work.search_from(4, 1)
-    assert not joined_obstacles([pillar]).encloses(made.positions).any()
-    assert visibility(
-        made.positions, where.survey.target_points, where.sight_limits, obstacles=joined_obstacles([pillar])
-    ).visible.all()
+    assert not join_obstacles([pillar]).is_enclosed(made.positions).any()
+    assert compute_visibility(
+        made.positions, where.survey.target_points, where.sight_limits, obstacles=join_obstacles([pillar])
+    ).is_visible.all()
     free = LayoutSearcher(site(), grid_step=0.8, n_yaws=4, n_heights=1).search_from(4, 1)
     assert made.objective_value > 0.97 * min(free.objective_value, found.objective_value)
 
 
 def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None:
     """From the height of a table's top a point on it is in sight, from 40 mm lower it is not."""
-    table = joined_obstacles([transformed(box(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
+    table = join_obstacles([place_triangles(box_triangles(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
     point = np.array([[3.0, 3.0, 1.0]])
     heads = np.array([[1.0, 3.0, height] for height in (1.001, 1.04, 1.2)])
     assert site(obstacles=table).is_visible(heads, point)[:, 0].tolist() == [True, True, True]
@@ -195,10 +199,10 @@ def test_fixed_nests_are_served_by_all_stations() -> None:
     aimed = np.ones(28, dtype=bool)
     where = site(is_aimed_nest=aimed)
     made = searcher(where).search_from(0, 1)
-    half = aimed_normals(made.positions, where.survey.target_points)[1]
-    assert half.max() <= where.sight_limits.acceptance
+    half = aim_nest_normals(made.positions, where.survey.target_points)[1]
+    assert half.max() <= where.sight_limits.max_incidence
     free = searcher(site()).search_from(0, 1)
-    assert aimed_normals(free.positions, where.survey.target_points)[1].max() > where.sight_limits.acceptance
+    assert aim_nest_normals(free.positions, where.survey.target_points)[1].max() > where.sight_limits.max_incidence
 
 
 def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
@@ -244,4 +248,4 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
 def test_points_inside_a_floor_that_is_not_convex() -> None:
     room = np.array([[0.0, 0], [4, 0], [4, 4], [2, 4], [2, 2], [0, 2]])
     points = np.array([[1.0, 1], [1, 3], [3, 3], [2, 3], [4, 4], [5, 1]])
-    assert inside(room, points).tolist() == [True, False, True, True, True, False]
+    assert is_inside_outline(room, points).tolist() == [True, False, True, True, True, False]

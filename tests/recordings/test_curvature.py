@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points
-from ltsim.core.units import EARTH
+from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings import Hints, read
 from ltsim.recordings.coordinates import read_points
 
@@ -28,7 +28,7 @@ def survey(folder: Path, *, size: float = 1.0, further: str = "", refraction: fl
     points = corners | {f"W{i}": size * rng.uniform([0, 0, 0], [600, 500, 25]) for i in range(8)}
     rows = ["Station;Point;Hz [gon];V [gon];D [m]"]
     for name, place in corners.items():
-        lean = np.array([*(place[:2] / EARTH), 1.0])
+        lean = np.array([*(place[:2] / EARTH_RADIUS), 1.0])
         up = lean / np.linalg.norm(lean)
         east = np.cross([0.0, 1.0, 0.0], up)
         east /= np.linalg.norm(east)
@@ -37,7 +37,9 @@ def survey(folder: Path, *, size: float = 1.0, further: str = "", refraction: fl
             arm = axes @ (points[target] - place)
             length = float(np.linalg.norm(arm))
             hz = np.arctan2(arm[0], arm[1]) + rng.normal(0.0, 0.5) * ARCSECOND / np.hypot(arm[0], arm[1]) * length
-            zenith = np.arccos(arm[2] / length) - refraction * length / (2 * EARTH) + rng.normal(0.0, 0.5) * ARCSECOND
+            zenith = (
+                np.arccos(arm[2] / length) - refraction * length / (2 * EARTH_RADIUS) + rng.normal(0.0, 0.5) * ARCSECOND
+            )
             printed = np.array([hz % (2 * np.pi), zenith]) * 200 / np.pi
             rows.append(f"{name};{target};{printed[0]:.6f};{printed[1]:.6f};{length + rng.normal(0, 6e-4):.5f}")
     (folder / "survey.csv").write_text("\n".join(rows) + "\n")

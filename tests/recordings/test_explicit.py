@@ -18,7 +18,7 @@ from ltsim.adjustment import adjust
 from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings import Hints, read
-from ltsim.recordings.conventions import contradictions
+from ltsim.recordings.conventions import convention_contradictions
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import read_setup
@@ -49,7 +49,7 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], 1.08)
     np.testing.assert_allclose(found.covariates["sigma_elevation_arcsec"], 1.08)
     np.testing.assert_allclose(found.readings[0, 0], 327.6857)
-    assert not found.circumstances.keys() & {"tohgt", "target_height_mm", "ha_error"}
+    assert not found.regressor_covariates.keys() & {"tohgt", "target_height_mm", "ha_error"}
     assert not found.has_clock
     assert found.labels["date"][0] == "2015-03-15"
     said = "\n".join(found.notes)
@@ -291,11 +291,11 @@ def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
         for i, name in enumerate(one.stations)
     }
     one = one.replace(setup=one.setup.model_copy(update={"stations": stations}))
-    assert not contradictions(one)
-    mirrored = contradictions(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
+    assert not convention_contradictions(one)
+    mirrored = convention_contradictions(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
     assert len(mirrored) == 1 and "only the mirror image of the readings: if the azimuths run clockwise" in mirrored[0]
     second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
-    found = contradictions(workshop().with_readings(one.readings * second))
+    found = convention_contradictions(workshop().with_readings(one.readings * second))
     assert found == (
         "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of them run clockwise",
     )

@@ -23,14 +23,14 @@ from ltsim.calibration.calibration_series import ChiSquareEntry
 from ltsim.calibration.history import ParameterCourse
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.statistics import ZScoreSummary
-from ltsim.core.notation import fixed, number, with_sigma
+from ltsim.core.notation import fixed_point_text, number_text, with_sigma
 from ltsim.core.randomness import stream
 from ltsim.diagnosis.schema import Curve, Where
 from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_change import PlanChange
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
 from ltsim.planning.result import Plan
-from ltsim.recordings.specification import sheet
+from ltsim.recordings.specification import data_sheet
 from ltsim.reports import style
 from ltsim.reports.figures import (
     campaign as sweeps,
@@ -129,7 +129,7 @@ def shares_of_limits() -> Figure:
         {
             "kind": "measured",
             "plan": "mine",
-            "specification": sheet("leica-at500"),
+            "specification": data_sheet("leica-at500"),
             "passes": 0,
             "sentence": "",
             "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],
@@ -371,8 +371,8 @@ def test_drawing_changes_no_global_setting() -> None:
 def test_numbers_read_like_numbers() -> None:
     assert typeset(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
     assert typeset(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
-    assert [typeset(number(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
-    assert [typeset(fixed(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
+    assert [typeset(number_text(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
+    assert [typeset(fixed_point_text(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
 
 
 def test_coverage_interval_is_wilsons() -> None:

@@ -12,7 +12,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording
 
@@ -26,7 +26,7 @@ def recording() -> Recording:
 
 def change_of(before: Recording, after: Recording) -> np.ndarray:
     change = after.readings - before.readings
-    change[:, 1:] = wrap(change[:, 1:])
+    change[:, 1:] = wrap_angle(change[:, 1:])
     return change
 
 
@@ -84,7 +84,7 @@ def test_a_swap_is_a_swap(recording: Recording) -> None:
         t: np.flatnonzero((recording.station == 0) & (recording.target == t) & (recording.face == 1))[0] for t in (a, b)
     }
     gap = made.readings[rows[a]] - recording.readings[rows[b]]
-    assert np.abs([gap[0], *wrap(gap[1:])]).max() < 60e-6
+    assert np.abs([gap[0], *wrap_angle(gap[1:])]).max() < 60e-6
     assert np.abs(change_of(recording, made)[recording.station != 0]).max() < 1e-12
 
 

@@ -11,7 +11,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.errors import SetupError
-from ltsim.geometry.alignment import best_fit
+from ltsim.geometry.alignment import align_with_scale
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.workshop import planned_survey
 from ltsim.recordings.setup import Target
@@ -33,7 +33,7 @@ def test_multilateration_from_scenario_to_coordinates(tmp_path: Path) -> None:
     assert "mirror image" not in repr(found)
     places = dict(zip(found.target_names, found.target_points, strict=True))
     points = np.array([places[name] for name in truth.target_names])
-    rotation, shift, _ = best_fit(truth.target_points, points)
+    rotation, shift, _ = align_with_scale(truth.target_points, points)
     gap = points - (truth.target_points @ rotation.T + shift)
     assert np.sqrt(np.mean(gap**2)) < 30e-6
     assert found.fit.p_value is not None

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from ltsim.adjustment import adjust
 from ltsim.core.errors import SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.geometry.polar import to_polar, wrap
+from ltsim.geometry.polar import to_polar, wrap_angle
 from ltsim.physics.effects import CATALOGUE, Effect, find_effect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.native import read_recording, write_recording
@@ -56,7 +56,7 @@ def test_face_pairs_differ_by_half_a_turn(order: str) -> None:
     one = recording.readings[[front[k] for k in front]]
     two = recording.readings[[back[k] for k in front]]
     np.testing.assert_allclose(two[:, 0], one[:, 0], atol=1e-14)
-    np.testing.assert_allclose(np.abs(wrap(two[:, 1] - one[:, 1])), np.pi, atol=1e-13)
+    np.testing.assert_allclose(np.abs(wrap_angle(two[:, 1] - one[:, 1])), np.pi, atol=1e-13)
     np.testing.assert_allclose(two[:, 2] + one[:, 2], np.pi, atol=1e-14)
 
 
@@ -75,7 +75,7 @@ def test_the_instrument_is_exact_in_both_directions() -> None:
     )
     readings = exact_readings(work, values[None], ())
     point = work.construction.point(readings, values)
-    np.testing.assert_allclose(point, work.sightings.local, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(point, work.sightings.local_points, rtol=0, atol=1e-12)
 
 
 def test_stated_errors_are_the_true_ones() -> None:
@@ -97,7 +97,7 @@ def test_noise_has_the_stated_size_whatever_the_place() -> None:
     for trial in range(60):
         recording, truth = measure_trial(work, 8, trial)
         gap = recording.readings - exact_readings(work, np.array([list(truth.instrument_values.values())]), ())
-        gap[:, 1] = wrap(gap[:, 1])
+        gap[:, 1] = wrap_angle(gap[:, 1])
         z.append(gap / recording.sigma())
     square = np.square(np.concatenate(z)).sum(axis=0)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 60 * len(recording))
@@ -296,7 +296,7 @@ def test_recordings_survive_being_written(tmp_path: Any) -> None:
     write_recording(recording, tmp_path / "rec")
     again = read_recording(tmp_path / "rec")
     gap = again.readings - recording.readings
-    gap[:, 1] = wrap(gap[:, 1])
+    gap[:, 1] = wrap_angle(gap[:, 1])
     assert np.abs(gap).max() < 1e-12
     assert again.setup == recording.setup
     assert again.stations == recording.stations and np.array_equal(again.face, recording.face)

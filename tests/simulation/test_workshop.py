@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
-from ltsim.scene.visibility import Reason, aimed_normals, shadow_radius
+from ltsim.scene.visibility import InvisibilityReason, aim_nest_normals, shadow_radii
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.gauge import gauge_rotation, make_gauge_frame
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -63,8 +63,8 @@ def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: flo
     scenario = changed(PAPER, "workshop", shadow_cone_deg=cone)
     assert make_sight_limits(scenario, scenario.instrument).elevation_min == pytest.approx(-55 * DEGREE)
     table = make_visibility(scenario)
-    assert table.lost(LAYOUT.station_names, LAYOUT.target_names) == []
-    radius = shadow_radius(LAYOUT.station_positions, 0.15, 110 * DEGREE)
+    assert table.invisible_pair_sentences(LAYOUT.station_names, LAYOUT.target_names) == []
+    radius = shadow_radii(LAYOUT.station_positions, 0.15, 110 * DEGREE)
     floor = LAYOUT.target_points[16:24, :2]
     assert np.all(np.linalg.norm(floor - LAYOUT.station_positions[:, None, :2], axis=2) > radius[:, None])
 
@@ -97,19 +97,19 @@ def test_wide_angles_and_ranges_are_covered() -> None:
 
 def test_fixed_nests_aimed_at_the_stations_serve_all_of_them() -> None:
     table = make_visibility(PAPER)
-    assert table.visible.all()
-    assert table.incidence.max() < 30 * DEGREE and np.median(table.incidence) > 8 * DEGREE
-    normal, half = aimed_normals(LAYOUT.station_positions, LAYOUT.target_points)
+    assert table.is_visible.all()
+    assert table.incidence_angles.max() < 30 * DEGREE and np.median(table.incidence_angles) > 8 * DEGREE
+    normal, half = aim_nest_normals(LAYOUT.station_positions, LAYOUT.target_points)
     np.testing.assert_allclose(LAYOUT.nest_normals, normal, atol=1e-9)
-    np.testing.assert_allclose(table.incidence.max(axis=0), half, atol=1e-9)
+    np.testing.assert_allclose(table.incidence_angles.max(axis=0), half, atol=1e-9)
 
 
 def test_fixed_nests_square_to_the_walls_lose_reflectors_and_the_table_says_which() -> None:
     square = changed(load_scenario("paper-workshop-re-aimed"), "smr", nests="fixed")
     table = make_visibility(square)
-    assert np.all(table.reason[~table.visible] == Reason.ACCEPTANCE)
-    assert 20 < np.sum(~table.visible) < 140
-    lost = table.lost(LAYOUT.station_names, LAYOUT.target_names)
+    assert np.all(table.reasons[~table.is_visible] == InvisibilityReason.ACCEPTANCE)
+    assert 20 < np.sum(~table.is_visible) < 140
+    lost = table.invisible_pair_sentences(LAYOUT.station_names, LAYOUT.target_names)
     assert "S1 does not see T01: turned beyond the reflector's acceptance" in lost
     recording, _ = simulate(square, 2)
     assert len(recording) == 43 and recording.notes[0].startswith("97 of 140 pairs")
@@ -121,10 +121,10 @@ def test_an_obstacle_hides_what_is_behind_it() -> None:
         {**PAPER.model_dump(by_alias=True), "workshop": {**PAPER.workshop.model_dump(), "obstacles": (box,)}}
     )
     table = make_visibility(with_box)
-    assert set(table.reason[~table.visible].tolist()) == {Reason.OBSTACLE}
-    hidden = {LAYOUT.target_names[t] for t in np.flatnonzero(~table.visible[0])}
+    assert set(table.reasons[~table.is_visible].tolist()) == {InvisibilityReason.OBSTACLE}
+    hidden = {LAYOUT.target_names[t] for t in np.flatnonzero(~table.is_visible[0])}
     assert {"T25", "T26", "T27", "T28"} <= hidden
-    assert table.visible[0, :8].all()
+    assert table.is_visible[0, :8].all()
 
 
 def test_laboratory_has_17_reflectors_on_a_table_at_20_degrees() -> None:
@@ -133,6 +133,6 @@ def test_laboratory_has_17_reflectors_on_a_table_at_20_degrees() -> None:
     assert laboratory.workshop.temperature_c == 20.0 and laboratory.cmm.nominal
     assert len(layout.target_names) == 17 and len(layout.station_names) == 5
     assert np.all(np.ptp(layout.target_points, axis=0) < [1.2, 1.2, 0.61])
-    assert make_visibility(laboratory).visible.all()
+    assert make_visibility(laboratory).is_visible.all()
     gap = np.linalg.norm(layout.station_positions[:, None] - LAYOUT.station_positions, axis=2)
     assert gap.min() > 0.1

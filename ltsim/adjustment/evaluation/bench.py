@@ -177,7 +177,7 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
     The probe is at the angle `probe_direction` [rad] from the interferometer, opposite to the rotation of the table;
     `length_sigma` [m] is one standard deviation of the interferometer.
     """
-    angle, length, probe = BENCH_TABLE.parsed(read_text(path), path).numbers(*BENCH_TABLE.header).T
+    angle, length, probe = BENCH_TABLE.parse_csv(read_text(path), path).numbers(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
         raise RecordError("an angle is missing, expected one per row", file=path, row=int(lost[0]) + 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
@@ -54,7 +54,7 @@ def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
     Raises NetworkError for fewer than three common targets that are not collinear.
     """
     shared = np.isfinite(cloud[:, 0]) & np.isfinite(target_points[:, 0])
-    rotation, translation = align(cloud[shared], target_points[shared])
+    rotation, translation = align_rigidly(cloud[shared], target_points[shared])
     return cloud @ rotation.T + translation
 
 

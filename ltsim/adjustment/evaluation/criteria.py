@@ -25,7 +25,7 @@ from ltsim.adjustment.evaluation.clouds import (
 )
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.notation import NONE
+from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.results import Column, Table, numbers, texts
 from ltsim.core.units import MICROMETRE
 from ltsim.core.values import ValueEquality
@@ -110,7 +110,7 @@ class CriterionEntry(Entry):
     def text(self) -> str:
         """Text of the mean before and after in um, in one line."""
         if self.before.mean_um is None:
-            return NONE
+            return MISSING_TEXT
         before = f"{self.before.mean_um:.1f} um"
         if self.after is None or self.after.mean_um is None or self.improvement_percent is None:
             return before
@@ -150,7 +150,7 @@ class Criteria(ResultFile, CriteriaEntry):
     def from_criteria(cls, recording: Recording, criteria: CriteriaEntry) -> Self:
         """The result for a recording."""
         entries = {name: getattr(criteria, name) for name in criteria.model_fields_set}
-        return cls(**entries, recording=SourceEntry.of(recording))
+        return cls(**entries, recording=SourceEntry.from_recording(recording))
 
     def _lines(self) -> list[str]:
         return [f"Criteria: distance {self.distance.text}; coordinate {self.coordinate.text}"]
@@ -277,7 +277,7 @@ NOMINAL_TABLE = Table(
 def read_nominal(path: Path) -> dict[str, Floats]:
     """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
     points = read_points(path)
-    for line, place in zip(points.lines, points.points, strict=True):
+    for line, place in zip(points.line_numbers, points.points, strict=True):
         if not np.isfinite(place).all():
             raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
     return points.by_name

@@ -47,7 +47,7 @@ from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import Construction, declared_construction
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
@@ -87,7 +87,7 @@ def check(recording: RecordingSource, *, level: float = FAMILY_LEVEL, mpe: tuple
     >>> lt.check(recording).passed
     True
     """
-    whole = recording_of(recording)
+    whole = load_recording(recording)
     identification = identify_causes(whole) if len(whole.stations) > 1 else None
     selection = (
         identification

@@ -22,7 +22,7 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MICROMETRE
-from ltsim.geometry.polar import from_polar, to_polar, wrap
+from ltsim.geometry.polar import from_polar, to_polar, wrap_angle
 from ltsim.physics.model.construction import Construction, ideal_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_of
 from ltsim.recordings.recording import Recording
@@ -94,13 +94,13 @@ class StationOccupation:
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
         weight = recording.usable & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
-        sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), lift=None)
+        sightings = replace(sightings_of(recording, _initial_state(recording, chosen)), reflector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
-        raw = np.where(recording.measured, recording.readings, sightings.raw)
+        raw = np.where(recording.measured, recording.readings, sightings.raw_readings)
         by_point, by_value = construction.reading_design(raw, np.zeros(construction.n_parameters))
         scale = (weight / sigma)[:, :, None]
-        gap = np.where(weight, recording.readings - sightings.raw, 0.0)
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap = np.where(weight, recording.readings - sightings.raw_readings, 0.0)
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
         blank = np.zeros((len(recording), 3, 0))
         bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
@@ -353,7 +353,7 @@ def two_face_pairs(
     polar = to_polar(built.point(readings, applied))
     first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
     gap = first - second
-    gap[:, 1:] = wrap(gap[:, 1:])
+    gap[:, 1:] = wrap_angle(gap[:, 1:])
     place = first - 0.5 * gap
     half = 0.5 * gap
     half[:, 1] *= np.cos(place[:, 2])

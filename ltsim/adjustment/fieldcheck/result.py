@@ -150,7 +150,7 @@ class Check(ResultFile):
         rest = (item for item in network if item.kind != "mistake")
         items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *rest)
         made = cls(
-            recording=SourceEntry.of(arrays.recording),
+            recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
             sentence=_go_or_no_go_sentence(items, causes, len(arrays.setups)),
             level=level,

@@ -43,7 +43,7 @@ from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.geometry.polar import wrap
+from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, with_plumb_lines
@@ -242,7 +242,7 @@ class NetworkFit:
     def residuals_of(self, recording: Recording) -> Floats:
         """Readings (n, 3) of a recording with the same pointings minus the predicted ones [m, rad, rad]."""
         gap = recording.readings - self.problem.model.predict(self.state)
-        gap[:, 1:] = wrap(gap[:, 1:])
+        gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
 
     @property

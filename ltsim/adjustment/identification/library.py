@@ -124,8 +124,8 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         yield ShiftFamily("constant-offset", "elevation", "station", elevation)
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
         yield ShiftFamily("constant-offset", "distance", "target", distance)
-        yield ShiftFamily("target-moved", "position", "target", sightings.by_target, first_onset=1)
-        if np.isfinite(sightings.nest_normal).all(axis=1).any():
+        yield ShiftFamily("target-moved", "position", "target", sightings.target_derivatives, first_onset=1)
+        if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_design(sightings)
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, first_onset=MIN_POINTINGS_AROUND_MOTION)
@@ -167,7 +167,7 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
         station = family.place_kind == "station"
         index = sightings.station if station else sightings.target
         names = sightings.station_names if station else sightings.target_names
-        order = sightings.order[np.argsort(index[sightings.order], kind="stable")]
+        order = sightings.measurement_order[np.argsort(index[sightings.measurement_order], kind="stable")]
         edges = np.searchsorted(index[order], np.arange(len(names) + 1))
         for i, name in enumerate(names):
             rows = order[edges[i] : edges[i + 1]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.core.arrays import AT_ONCE, Bools, Floats
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats
 
 N_REWEIGHTINGS = 6
 """Number of reweightings in the fit of a shift."""
@@ -83,7 +83,7 @@ def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit_columns.shape[::-1]):
         if batch and (
             len(shifts[i].column_lengths) != len(shifts[batch[0]].column_lengths)
-            or (len(batch) + 1) * shifts[i].unit_columns.size > AT_ONCE
+            or (len(batch) + 1) * shifts[i].unit_columns.size > MAX_TEMPORARY_ENTRIES
         ):
             yield batch
             batch = []

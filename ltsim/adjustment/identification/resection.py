@@ -15,7 +15,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.significance import MIN_FAR_RESIDUAL, MIN_FAULTY_FRACTION_OF_PLACE
 from ltsim.adjustment.snooping import whitened_residuals
-from ltsim.core.arrays import Bools, grouped
+from ltsim.core.arrays import Bools, group_rows
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import robust_sigma
@@ -30,7 +30,7 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
     if not far.any() or far[problem.used_readings].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
         return state
     whole, now = FitReadings.from_recording(recording), far
-    for station, rows in grouped(recording.station, np.flatnonzero(problem.used_readings.any(axis=1))):
+    for station, rows in group_rows(recording.station, np.flatnonzero(problem.used_readings.any(axis=1))):
         if (
             problem.marks.target_indices[station] >= 0
             or far[rows][problem.used_readings[rows]].mean() <= MIN_FAULTY_FRACTION_OF_PLACE

@@ -34,7 +34,7 @@ from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests, rel
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.sight import FitReadings
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import AT_ONCE, Bools, Floats, Ints
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Bools, Floats, Ints
 from ltsim.physics.effects.gauge_scale import GaugeScale
 from ltsim.physics.effects.motions import exact_target_change
 from ltsim.solve.gauss_newton import solve
@@ -126,7 +126,7 @@ def _exact_log_evidence(space: ResidualSpace, candidates: Sequence[ShiftCandidat
     for i in chosen.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
-        step = max(1, AT_ONCE // (space.n_rows * rank))
+        step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * rank))
         for batch in (group[k : k + step] for k in range(0, len(group), step)):
             rows = np.hstack([_projected_signature(space, candidates[i]) for i in batch])
             projected = space.project(rows).reshape(space.n_rows, len(batch), rank)

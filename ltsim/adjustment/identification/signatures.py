@@ -68,5 +68,5 @@ class ReadingShift(Signature):
         design = self.design(sightings)
         if not self.is_proportional:
             return Linearisation(design @ values, design)
-        scaled = np.where(design != 0.0, values[0] * sightings.by_target, 0.0)
-        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.arm)))
+        scaled = np.where(design != 0.0, values[0] * sightings.target_derivatives, 0.0)
+        return Linearisation(design @ values, design, (scaled, pose_design(scaled, sightings.sight_vectors)))

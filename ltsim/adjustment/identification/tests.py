@@ -258,7 +258,7 @@ def _row_interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         acts &= np.isin(s.station, [s.station_names.index(name) for name in hypothesis.stations])
     if hypothesis.targets:
         acts &= np.isin(s.target, [s.target_names.index(name) for name in hypothesis.targets])
-    rows = s.order[acts[s.order]]
+    rows = s.measurement_order[acts[s.measurement_order]]
     at = int(np.searchsorted(s.time[rows], since))
     if not 0 < at < len(rows):
         return "during its measurement"

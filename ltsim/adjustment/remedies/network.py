@@ -148,8 +148,10 @@ class PlannedNetwork:
 
     def with_length(self, first: int, second: int, sigma_mm: float) -> PlannedNetwork:
         """Network with the calibrated distance between two targets; unchanged if it is already known."""
-        recording, rows = self.recording, GaugeRows.of(self.recording)
-        if {first, second} in (set(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)):
+        recording, rows = self.recording, GaugeRows.from_recording(self.recording)
+        if {first, second} in (
+            set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)
+        ):
             return self
         length = float(np.linalg.norm(self.state.target_points[first] - self.state.target_points[second])) / MILLIMETRE
         # `from` is a keyword: the alias goes in through a mapping.

@@ -37,7 +37,7 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import effect_tuple
 from ltsim.physics.model.construction import declared_construction
-from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
 """Expected difference of chi-square from which two explanations count as distinguished."""
@@ -242,7 +242,7 @@ def rank_next_measurements(
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
     """Ranking of further measurements after a recording; arguments and errors as of `lt.next_measurement`."""
-    measured = recording_of(recording)
+    measured = load_recording(recording)
     adjustment = adjust(measured, declared_construction(measured))
     adjustment.solution.require_success()
     if len(explanations) > 1:

@@ -17,11 +17,11 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
-from ltsim.scene.visibility import SightLimits, visibility
+from ltsim.scene.visibility import SightLimits, compute_visibility
 
 RemedyKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of an additional measurement."""
@@ -172,7 +172,7 @@ class FloorPlan:
         else:
             away, goal = here - here.mean(axis=0), there - there.mean(axis=0)
             turns = (goal[:, 0] + 1j * goal[:, 1]) * (away[:, 0] - 1j * away[:, 1])
-        turn = about_z(float(np.angle(turns.sum())))
+        turn = rotation_about_z(float(np.angle(turns.sum())))
         return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), has_plan=True)
 
     def positions_on_plan(self, position: Floats) -> Floats:
@@ -237,7 +237,7 @@ def return_remedies(
                 _unused_station_name(recording),
                 s,
                 state.station_positions[s],
-                state.station_rotations[s] @ about_z(BASE_ROTATION),
+                state.station_rotations[s] @ rotation_about_z(BASE_ROTATION),
             )
             yield _setup_remedy("return", words, grown, target, seconds_per_move)
 
@@ -256,12 +256,12 @@ def station_remedies(network: PlannedNetwork, seconds_per_move: float) -> Iterat
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], N_GRID_POSITIONS) for k in range(2))
     places = np.array([(a, b, state.station_positions[:, 2].mean()) for a in x for b in y])
     taken = np.concatenate([state.station_positions, state.target_points])
-    visible = visibility(places, state.target_points, limits).visible
+    visible = compute_visibility(places, state.target_points, limits).is_visible
     for position, sights in zip(places, visible, strict=True):
         if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < MIN_PROPOSED_DISTANCE:
             continue
         for turn in range(N_YAWS):
-            rotation = state.station_rotations[0] @ about_z(turn * 2 * np.pi / N_YAWS)
+            rotation = state.station_rotations[0] @ rotation_about_z(turn * 2 * np.pi / N_YAWS)
             place, yaw = plan.positions_on_plan(position), plan.yaw_on_plan(rotation) / DEGREE % 360
             words = advice_sentence("new station", station=name, place=place, yaw=yaw, frame=frame)
             grown = network.with_station(name, 0, position, rotation)

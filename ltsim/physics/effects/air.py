@@ -14,34 +14,34 @@ from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.rays import relative_index_change_per_kelvin
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.turbulence import Turbulence
-from ltsim.recordings.air import Air
+from ltsim.recordings.air import AirUncertainty
 from ltsim.scene.sightings import Sightings
 
 
-def reading_changes_per_sigma(air: Air, sightings: Sightings) -> Floats:
+def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Change (n, 3, 2) of the raw readings by one standard deviation of the temperature and of the gradient."""
     weather = StationWeather().design(sightings) * (relative_index_change_per_kelvin() * air.temperature_k)
     return np.concatenate([weather, AirGradient().design(sightings) * air.gradient_k_per_m], axis=2)
 
 
-def turbulence_variance(air: Air, sightings: Sightings) -> Floats:
+def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Variance (n, 3) of the readings due to turbulence."""
     size = np.array([air.turbulence_um2_per_m3 * MICROMETRE**2, 0.0])
     return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), size)
 
 
-def turbulence_sigma_across_beam(air: Air, range_: float) -> float:
+def turbulence_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
     """Standard deviation [m] of an observed point due to turbulence, perpendicular to the beam, at a range [m]."""
     bent = 0.5 * relative_index_change_per_kelvin() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
 
-def turbulence_sigma_along_beam(air: Air, range_: float) -> float:
+def turbulence_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
     """Standard deviation [m] of the range due to turbulence, at a range [m]."""
     return relative_index_change_per_kelvin() * air.temperature_k * range_
 
 
-def air_uncertainty_text(air: Air, max_range: float) -> str:
+def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
     """Text of the standard deviations of the air, and of the errors that they cause at the longest range [m]."""
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "

@@ -45,13 +45,13 @@ class AirGradient(WarmAirEffect):
     def _sensor_height(self, sightings: Sightings) -> Floats:
         """Height (n,) [m] of the weather sensor, for which the temperature used is correct."""
         if self.sensor == "head":
-            return sightings.position[sightings.station, 2]
-        return np.full(len(sightings), float(sightings.points[:, 2].mean()))
+            return sightings.station_positions[sightings.station, 2]
+        return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
         steep = relative_index_change_per_kelvin() * self.row_weights(sightings) * sightings.range_
-        heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
-        _, across, up = sightings.unit_vectors
+        heights = sightings.station_positions[sightings.station, 2] + sightings.target_points[sightings.target, 2]
+        _, across, up = sightings.beam_vectors
         column = design_from_front_face_corrections(
             sightings,
             distance=steep * (0.5 * heights - self._sensor_height(sightings)),

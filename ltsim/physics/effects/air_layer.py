@@ -16,7 +16,7 @@ LAYER_WIDTHS = (0.15, 0.5)
 
 def _point_heights(sightings: Sightings) -> Floats:
     """Heights (T + S,) [m] of all targets and stations in the network frame."""
-    return np.concatenate([sightings.points[:, 2], sightings.position[:, 2]])
+    return np.concatenate([sightings.target_points[:, 2], sightings.station_positions[:, 2]])
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-from ltsim.core.units import FACTOR, MICRORADIAN
+from ltsim.core.units import MICRORADIAN, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.places import Drift
 
@@ -22,7 +22,7 @@ class AzimuthDrift(Drift):
     stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     slot = "azimuth"
-    rate_parameter = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * FACTOR["urad/h"])
+    rate_parameter = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * SI_PER_UNIT["urad/h"])
     amplitude_parameter = Parameter(
         "azimuth-drift-amplitude", "urad", "correction at the start, decaying", 20 * MICRORADIAN
     )

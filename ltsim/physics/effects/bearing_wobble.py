@@ -80,7 +80,7 @@ class BearingWobble(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         acts, response = self.row_weights(sightings)[:, None], sightings.slot_responses
-        phase = self.order * sightings.read[:, 2 if self.kind == "transit" else 1]
+        phase = self.order * sightings.instrument_readings[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]
         if self.kind == "transit":
             yaw = response["beam-tilt"]

@@ -21,7 +21,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Self
 
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Effect, LightPathStage
 
 ENTRY_POINT_GROUP = "ltsim.effects"
@@ -218,5 +218,10 @@ def interface_fault(effect_class: object) -> str:
         return "its class lacks a stage or parameters"
     units = {p.name: p.unit for p in effect_class.parameters} | {s.name: s.unit for s in effect_class.shape_parameters}
     return next(
-        (f"the unit '{u}' of {name} is not in {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
+        (
+            f"the unit '{u}' of {name} is not in {', '.join(SI_PER_UNIT)}"
+            for name, u in units.items()
+            if u not in SI_PER_UNIT
+        ),
+        "",
     )

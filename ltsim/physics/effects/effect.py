@@ -191,5 +191,8 @@ class SlotEffect(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.row_weights(sightings)
-        columns = [sightings.slot_responses[t.slot] * (acts * t.basis(sightings.read))[:, None] for t in self.terms]
+        columns = [
+            sightings.slot_responses[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
+            for t in self.terms
+        ]
         return np.stack(columns, axis=2)

@@ -46,7 +46,7 @@ class FaceConfusion(Blunder):
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.row_weights(sightings) * (sightings.face == self.face)
-        azimuth, elevation = sightings.raw[:, 1], sightings.raw[:, 2]
+        azimuth, elevation = sightings.raw_readings[:, 1], sightings.raw_readings[:, 2]
         turned = np.where(azimuth > 0, -np.pi, np.pi)
         change = np.stack([np.zeros_like(azimuth), turned, np.pi - 2 * elevation], axis=1)
         confused: Floats = change * acts[:, None]

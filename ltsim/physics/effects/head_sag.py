@@ -26,7 +26,7 @@ class HeadSag(Effect):
     parameters = (Parameter("sag", "urad", "droop of a level beam", 5 * MICRORADIAN),)
 
     def design(self, sightings: Sightings) -> Floats:
-        upright = sightings.unit_vectors[2][:, 2]
+        upright = sightings.beam_vectors[2][:, 2]
         return design_from_front_face_corrections(sightings, elevation=-self.row_weights(sightings) * upright)[
             :, :, None
         ]

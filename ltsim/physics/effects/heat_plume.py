@@ -6,7 +6,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParameter, design_from_front_face_corrections
 from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative_index_change_per_kelvin
-from ltsim.scene.regions import Region, regions_of
+from ltsim.scene.regions import HallRegion, candidate_regions
 from ltsim.scene.sightings import Sightings
 
 N_AZIMUTHS = 8
@@ -87,7 +87,7 @@ class HeatPlume(WarmAirEffect):
             *(cls((), (name,), radius=TARGET_PLUME_RADIUS) for name in targets),
             *(
                 cls((), (), _rounded_to_mm(np.array(ball.centre)), ball.width)
-                for ball in regions_of(sightings, ("xyz",))
+                for ball in candidate_regions(sightings, ("xyz",))
             ),
         ]
 
@@ -111,16 +111,16 @@ class HeatPlume(WarmAirEffect):
         """Centre (3,) [m] in the network frame."""
         anchor = np.zeros(3)
         if self.stations:
-            anchor = sightings.position[sightings.station_names.index(self.stations[0])]
+            anchor = sightings.station_positions[sightings.station_names.index(self.stations[0])]
         elif self.targets:
-            anchor = sightings.points[sightings.target_names.index(self.targets[0])]
+            anchor = sightings.target_points[sightings.target_names.index(self.targets[0])]
         return anchor + np.asarray(self.offset)
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per kelvin, first order, in closed form."""
-        ball = Region("xyz", tuple(self._centre(sightings).tolist()), self.radius)
-        path, pull = ball.bending(sightings)
-        _, across, up = sightings.unit_vectors
+        ball = HallRegion("xyz", tuple(self._centre(sightings).tolist()), self.radius)
+        path, pull = ball.path_and_bending(sightings)
+        _, across, up = sightings.beam_vectors
         acts = relative_index_change_per_kelvin() * self.row_weights(sightings)
         bend = -pull * (acts / sightings.range_)[:, None]
         return design_from_front_face_corrections(

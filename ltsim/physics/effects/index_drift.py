@@ -1,4 +1,4 @@
-from ltsim.core.units import FACTOR, MICRORADIAN
+from ltsim.core.units import MICRORADIAN, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.places import Drift
 
@@ -23,7 +23,7 @@ class IndexDrift(Drift):
     stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     slot = "elevation"
-    rate_parameter = Parameter("index-drift", "urad/h", "growth of the index", 20 * FACTOR["urad/h"])
+    rate_parameter = Parameter("index-drift", "urad/h", "growth of the index", 20 * SI_PER_UNIT["urad/h"])
     amplitude_parameter = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
     parameters = (rate_parameter,)
 

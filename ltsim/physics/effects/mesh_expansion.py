@@ -4,7 +4,7 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.motions import TargetMotion
 from ltsim.physics.effects.places import first_pointing_time
@@ -38,7 +38,7 @@ class MeshExpansion(TargetMotion):
     name = "mesh-expansion"
     stage = LightPathStage.TARGET
     covariates = ("time", "place")
-    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * FACTOR["ppm/h"]),)
+    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * SI_PER_UNIT["ppm/h"]),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
@@ -47,5 +47,5 @@ class MeshExpansion(TargetMotion):
 
     def displacement(self, sightings: Sightings) -> Floats:
         since = self.row_weights(sightings) * (sightings.time - first_pointing_time(sightings))
-        arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
+        arm = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
         return (since[:, None] * arm * EXPANSION_WEIGHTS[self.mode])[:, :, None]

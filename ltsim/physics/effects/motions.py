@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.physics.effects.effect import Effect, design_from_displacements
@@ -15,7 +15,7 @@ from ltsim.scene.sightings import Sightings
 
 def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
-    return reading_change(sightings, _sightings_with_displaced_targets(sightings, displacement).local)
+    return reading_change(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
 
 
 def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
@@ -23,41 +23,46 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
 
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
-    return reading_change(sightings, _apparent_sightings(sightings, motion).local)
+    return reading_change(sightings, _apparent_sightings(sightings, motion).local_points)
 
 
 def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
     """Sightings with the reflector of each pointing displaced by (n, 3) [m]."""
-    return replace(sightings, lift=displacement if sightings.lift is None else sightings.lift + displacement)
+    return replace(
+        sightings,
+        reflector_offsets=displacement
+        if sightings.reflector_offsets is None
+        else sightings.reflector_offsets + displacement,
+    )
 
 
 def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
     """Sightings with reflectors at their apparent positions, seen from stations that moved by (n, 6)."""
     back = np.swapaxes(from_rotation_vector(motion[:, 3:]), 1, 2)
-    apparent = np.einsum("nij,nj->ni", back, sightings.arm - motion[:, :3])
-    return _sightings_with_displaced_targets(sightings, apparent - sightings.arm)
+    apparent = np.einsum("nij,nj->ni", back, sightings.sight_vectors - motion[:, :3])
+    return _sightings_with_displaced_targets(sightings, apparent - sightings.sight_vectors)
 
 
 def _linearised_change(
     sightings: Sightings, apparent_sightings: Sightings, displacement_by_values: Floats
 ) -> Linearisation:
     """Change of the readings for displaced apparent reflectors, with its derivatives."""
-    by_target = apparent_sightings.by_target - sightings.by_target
+    by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
     by_pose = station_design(apparent_sightings) - station_design(sightings)
     return Linearisation(
-        reading_change(sightings, apparent_sightings.local), displacement_by_values, (by_target, by_pose)
+        reading_change(sightings, apparent_sightings.local_points), displacement_by_values, (by_target, by_pose)
     )
 
 
 def station_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the raw readings per unit of station motion, first order."""
-    return pose_design(sightings.by_target, sightings.arm)
+    return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
 def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
     """Change (n, 3) of the raw readings for targets at (n, 3) [m] in the instruments' frames."""
-    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.raw
-    change[:, 1] = wrap(change[:, 1])
+    change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.raw_readings
+    change[:, 1] = wrap_angle(change[:, 1])
     return change
 
 

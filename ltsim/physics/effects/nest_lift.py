@@ -56,7 +56,7 @@ class NestLift(TargetMotion):
         pairs = station_target_pairs(sightings)
         if len(pairs) > MAX_STATION_TARGET_PAIRS:
             return []
-        oriented = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
+        oriented = np.flatnonzero(np.isfinite(sightings.nest_normals).all(axis=1))
         nests = {sightings.target_names[t] for t in oriented}
         along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
         return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
@@ -65,5 +65,5 @@ class NestLift(TargetMotion):
         acts = self.row_weights(sightings)[:, None, None]
         if self.kind == "free":
             return acts * np.eye(3)
-        normal: Floats = np.nan_to_num(sightings.nest_normal[sightings.target])[:, :, None]
+        normal: Floats = np.nan_to_num(sightings.nest_normals[sightings.target])[:, :, None]
         return acts * normal

@@ -41,7 +41,7 @@ def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tu
 
 def visit_change_times(sightings: Sightings, target: int, *, max_times: int) -> list[float]:
     """Times [s] between two visits to a target from different stations; between all pointings if only one sees it."""
-    rows = sightings.order[sightings.target[sightings.order] == target]
+    rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target]
     times, stations = sightings.time[rows], sightings.station[rows]
     if len(np.unique(stations)) < 2:
         return change_times(times, min_pointings=2, max_times=max_times)

@@ -1,4 +1,4 @@
-from ltsim.core.units import FACTOR, MICROMETRE
+from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
 from ltsim.physics.effects.places import Drift
 
@@ -22,7 +22,7 @@ class RangeDrift(Drift):
     observables = ("distance",)
     slot = "range"
     rate_parameter = Parameter(
-        "range-drift", "um/h", "growth of the length missing from every range", 15 * FACTOR["um/h"]
+        "range-drift", "um/h", "growth of the length missing from every range", 15 * SI_PER_UNIT["um/h"]
     )
     amplitude_parameter = Parameter(
         "range-drift-amplitude", "um", "length missing at the start, decaying", 20 * MICROMETRE

@@ -52,10 +52,10 @@ def first_order_change(sightings: Sightings, field: TemperatureField, row_weight
     If `reflector_weights` (n,) is given, only the pointings that it marks are integrated; the others do not change.
     """
     rows = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
-    beam, across, up = (way[rows] for way in sightings.unit_vectors)
+    beam, across, up = (way[rows] for way in sightings.beam_vectors)
     length = sightings.range_[rows]
     share = 0.5 * (1.0 + QUADRATURE_NODES)
-    start = sightings.position[sightings.station[rows]]
+    start = sightings.station_positions[sightings.station[rows]]
     points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
     warmer, gradient = field(points.reshape(-1, 3))
     beta = relative_index_change_per_kelvin()
@@ -75,7 +75,7 @@ def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: i
 
     The ray starts in the first-order direction, which is then corrected by the distance at which it misses the target.
     """
-    start, target = sightings.position[sightings.station], sightings.points[sightings.target]
+    start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     length = sightings.range_
     guess = _apparent_directions(sightings, field)
     end, arrival, optical = _trace_rays(start, guess, length, field, steps)
@@ -85,14 +85,14 @@ def integrated_change(sightings: Sightings, field: TemperatureField, *, steps: i
     law, _ = _refractivity_by_temperature()
     at_target = law(field(target)[0])
     excess = (optical + at_target * along - law(0.0) * (length + along)) / (1.0 + law(0.0))
-    local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], aim)
+    local = np.einsum("nji,nj->ni", sightings.station_rotations[sightings.station], aim)
     apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (length + along + excess)[:, None]
     return reading_change(sightings, apparent)
 
 
 def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:
     """Unit vectors (n, 3) towards the apparent positions of the targets, first order."""
-    beam, across, up = sightings.unit_vectors
+    beam, across, up = sightings.beam_vectors
     change = first_order_change(sightings, field)
     aside = change[:, 1] * np.cos(sightings.elevation)
     aim = beam + aside[:, None] * across + (change[:, 2] * sightings.face_sign)[:, None] * up

@@ -1,5 +1,5 @@
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
@@ -24,7 +24,9 @@ class RefractivityDrift(Effect):
     observables = ("distance",)
     covariates = ("time", "distance")
     parameters = (
-        Parameter("refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * FACTOR["ppm/h"]),
+        Parameter(
+            "refractivity-drift", "ppm/h", "growth of the fraction missing from ranges", 3 * SI_PER_UNIT["ppm/h"]
+        ),
     )
 
     def design(self, sightings: Sightings) -> Floats:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
+from ltsim.core.units import ARCSECOND, MILLIMETRE, PPM, SI_PER_UNIT
 from ltsim.recordings.setup import Prior
 from ltsim.scene.sightings import Sightings
 
@@ -29,7 +29,7 @@ class Parameter:
 
     name: str
     unit: str
-    """Unit of display, a key of `units.FACTOR`; values are SI."""
+    """Unit of display, a key of `units.SI_PER_UNIT`; values are SI."""
     description: str
     prior_sigma: float
     """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
@@ -54,7 +54,7 @@ class Parameter:
     @property
     def si_per_display_unit(self) -> float:
         """Display unit of the parameter, expressed in SI."""
-        return FACTOR[self.unit]
+        return SI_PER_UNIT[self.unit]
 
 
 def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) -> tuple[Parameter, ...]:
@@ -170,9 +170,9 @@ class Signature(Protocol):
         """Weights (n,): 1 for pointings on which it acts, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
-            acts &= _is_any_of(sightings.station, sightings.station_ids, self.stations)
+            acts &= _is_any_of(sightings.station, sightings.station_indices, self.stations)
         if self.targets:
-            acts &= _is_any_of(sightings.target, sightings.target_ids, self.targets)
+            acts &= _is_any_of(sightings.target, sightings.target_indices, self.targets)
         return acts.astype(np.float64)
 
 
@@ -273,9 +273,9 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
     """Change (n, 3, p) of the raw readings by displacements (n, 3, p) [m] of the targets in the network frame."""
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):
-        return sightings.by_target @ displacement
+        return sightings.target_derivatives @ displacement
     change = np.zeros(displacement.shape)
-    change[acts] = sightings.by_target[acts] @ displacement[acts]
+    change[acts] = sightings.target_derivatives[acts] @ displacement[acts]
     return change
 
 

@@ -17,9 +17,9 @@ def reflector_axes(sightings: Sightings) -> Floats:
     The axis of a re-aimed reflector, or of one in an unknown nest, points to the station; otherwise it is the nest's
     normal.
     """
-    normal = sightings.nest_normal[sightings.target]
-    turned = sightings.reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
-    axial = np.where(turned[:, None], -sightings.unit_vectors[0], normal)
+    normal = sightings.nest_normals[sightings.target]
+    turned = sightings.is_reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
+    axial = np.where(turned[:, None], -sightings.beam_vectors[0], normal)
     side = np.cross(VERTICAL, axial)
     flat = np.linalg.norm(side, axis=1) < 1e-6
     side[flat] = [1.0, 0.0, 0.0]

@@ -32,9 +32,9 @@ class SmrOffset(TargetMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Candidates for every station, if nests are known."""
-        has_normals = np.isfinite(sightings.nest_normal).all(axis=1).any()
+        has_normals = np.isfinite(sightings.nest_normals).all(axis=1).any()
         return [cls((name,)) for name in sightings.station_names] if has_normals else []
 
     def displacement(self, sightings: Sightings) -> Floats:
-        normal = np.nan_to_num(sightings.nest_normal[sightings.target])
+        normal = np.nan_to_num(sightings.nest_normals[sightings.target])
         return (normal * self.row_weights(sightings)[:, None])[:, :, None]

@@ -4,7 +4,7 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import FACTOR, MICROMETRE
+from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import TargetMotion
 from ltsim.physics.effects.places import first_pointing_time, neighbouring_gap_times, visit_change_times
@@ -14,7 +14,7 @@ MAX_STEP_TIMES = 8
 """Largest number of times per target at which a search tries a step."""
 PLAUSIBLE_STEP = 60 * MICROMETRE
 """Plausible sudden displacement [m] of a target."""
-PLAUSIBLE_CREEP_RATE = 40 * FACTOR["um/h"]
+PLAUSIBLE_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
 """Plausible rate of creep [m/s] of a target."""
 
 

@@ -49,6 +49,6 @@ class TargetSwap(Blunder):
             return np.zeros((len(sightings), 3, 1))
         a, b = (sightings.target_names.index(name) for name in self.targets)
         partner = np.where(sightings.target == a, b, a)
-        gap = sightings.points[partner] - sightings.points[sightings.target]
+        gap = sightings.target_points[partner] - sightings.target_points[sightings.target]
         acts = self.row_weights(sightings)[:, None]
         return exact_target_change(sightings, gap * acts)[:, :, None]

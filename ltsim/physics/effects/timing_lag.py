@@ -8,9 +8,9 @@ from ltsim.scene.sightings import Sightings
 def reading_rates(sightings: Sightings) -> Floats:
     """Mean rate (n, 3) of the raw readings [m/s, rad/s] since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
-    lapse = sightings.time - sightings.time[sightings.previous]
-    going = (sightings.previous >= 0) & (lapse > 0)
-    rate[going] = sightings.move[going] / lapse[going, None]
+    lapse = sightings.time - sightings.time[sightings.previous_rows]
+    going = (sightings.previous_rows >= 0) & (lapse > 0)
+    rate[going] = sightings.reading_changes[going] / lapse[going, None]
     return rate
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from ltsim.core.errors import ModelError
-from ltsim.core.results import Columns, Result
-from ltsim.core.units import FACTOR
+from ltsim.core.results import ColumnValues, Result
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
 
@@ -89,7 +89,7 @@ def make_effect(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
     """
     kind = find_effect(name)
     fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_FIELDS}
-    units = {s.name: FACTOR[s.unit] for s in kind.shape_parameters}
+    units = {s.name: SI_PER_UNIT[s.unit] for s in kind.shape_parameters}
     constants: dict[str, Any] = {}
     for key, value in shape.items():
         if key not in fields:
@@ -112,7 +112,7 @@ def _check_constants(effect: AnyEffect) -> None:
         if get_origin(hints[field.name]) is Literal and value not in choices:
             raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, choices))}")
     for shape in effect.shape_parameters:
-        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
+        value, unit = getattr(effect, shape.name), SI_PER_UNIT[shape.unit]
         low, high = shape.lower_bound / MAX_SIMULATED_BOUND_RATIO, shape.upper_bound * MAX_SIMULATED_BOUND_RATIO
         if (
             isinstance(value, float)
@@ -136,7 +136,7 @@ def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
 
 def display_constants(effect: AnyEffect) -> dict[str, Any]:
     """Constants of an effect, in the form that `make_effect` takes."""
-    units = {s.name: FACTOR[s.unit] for s in effect.shape_parameters}
+    units = {s.name: SI_PER_UNIT[s.unit] for s in effect.shape_parameters}
     names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_FIELDS]
     values = {name: getattr(effect, name) for name in names}
     return {name: value / units[name] if name in units else value for name, value in values.items()}
@@ -151,10 +151,10 @@ class EffectList(Result):
     def _lines(self) -> list[str]:
         return [f"{effect.name}: {_summary_sentence(effect)}" for effect in self.effect_classes]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
         return {"effects": self._effects_table, "parameters": self._parameters_table}
 
-    def _effects_table(self) -> Columns:
+    def _effects_table(self) -> ColumnValues:
         return {
             "effect": [e.name for e in self.effect_classes],
             "observables": [", ".join(e.observables) for e in self.effect_classes],
@@ -162,7 +162,7 @@ class EffectList(Result):
             "meaning": [_summary_sentence(e) for e in self.effect_classes],
         }
 
-    def _parameters_table(self) -> Columns:
+    def _parameters_table(self) -> ColumnValues:
         listed = [(e, p) for e in self.effect_classes for p in e.parameters]
         return {
             "effect": [e.name for e, _ in listed],

@@ -20,7 +20,7 @@ PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 def _targets_by_azimuth(sightings: Sightings, station: str) -> list[int]:
     """Targets that a station measured, in the order of their azimuths."""
     s = sightings.station_names.index(station)
-    arm = sightings.points - sightings.position[s]
+    arm = sightings.target_points - sightings.station_positions[s]
     sighted = np.unique(sightings.target[sightings.station == s])
     return [int(t) for t in sighted[np.argsort(np.arctan2(arm[sighted, 1], arm[sighted, 0]))]]
 
@@ -65,7 +65,10 @@ class Window(TargetMotion):
     @classmethod
     def _perpendicular_pane(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
         """Pane perpendicular to the middle of a sequence of targets; empty if the middle is undefined."""
-        arm = sightings.points[target_sequence] - sightings.position[sightings.station_names.index(station)]
+        arm = (
+            sightings.target_points[target_sequence]
+            - sightings.station_positions[sightings.station_names.index(station)]
+        )
         across = arm[:, :2].sum(axis=0)
         if len(target_sequence) < 2 or not np.linalg.norm(across) > 0:
             return []
@@ -87,7 +90,7 @@ class Window(TargetMotion):
         return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        beam = sightings.unit_vectors[0]
+        beam = sightings.beam_vectors[0]
         normal = np.broadcast_to(np.asarray(self.pane_normal), beam.shape) if any(self.pane_normal) else beam
         cosine = np.sum(beam * normal, axis=1)[:, None]
         normal, cosine = normal * np.sign(cosine), np.abs(cosine)

@@ -60,7 +60,9 @@ class WrongUnit(Blunder):
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
         """Readings (n, 3) in the wrong unit."""
-        return np.where(self.row_weights(sightings)[:, None] > 0, self.transcription_error.written(readings), readings)
+        return np.where(
+            self.row_weights(sightings)[:, None] > 0, self.transcription_error.with_error(readings), readings
+        )
 
     def design(self, sightings: Sightings) -> Floats:
-        return (self.recorded_readings(sightings, sightings.raw) - sightings.raw)[:, :, None]
+        return (self.recorded_readings(sightings, sightings.raw_readings) - sightings.raw_readings)[:, :, None]

@@ -119,9 +119,9 @@ def function_column(sightings: Sightings, covariate: str, function_name: str, co
     """Function (n, 1) of a covariate and a constant."""
     x = sightings.quantities[covariate]
     if function_name == PLAY_FUNCTION:
-        slack = play_operator(x[sightings.order], constant)
+        slack = play_operator(x[sightings.measurement_order], constant)
         values = np.empty_like(x)
-        values[sightings.order] = slack - x[sightings.order]
+        values[sightings.measurement_order] = slack - x[sightings.measurement_order]
         return scaled_to_unit_rms((values - values.mean())[:, None])
     if function_name == "power" and covariate in sightings.covariates and not has_natural_zero(x):
         x = x - x.mean()
@@ -151,7 +151,7 @@ def linear_field_columns(
     With `is_quadratic` also products (n, 10).
     """
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
-    ids = [i for name in centre_targets for i in sightings.target_ids[name]]
+    ids = [i for name in centre_targets for i in sightings.target_indices[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
     place = place - place[near].mean(axis=0)
     place = place / max(float(place[near].std()), 1e-300)
@@ -165,7 +165,7 @@ def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) 
     """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
     x = sightings.quantities[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
-    rows = sightings.order
+    rows = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / time_constant)
     slow = np.empty_like(x)
     now = float(x[rows[0]])

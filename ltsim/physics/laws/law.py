@@ -169,7 +169,7 @@ class EmpiricalLaw(CandidateEffect):
     @property
     def hall_axes(self) -> str:
         """Axes of the coordinates of `source_position`."""
-        return self.regressor.hall_region.axes if self.regressor.hall_region else ""
+        return self.regressor.hall_region.bounded_axes if self.regressor.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> EmpiricalLaw:
         """Copy of the law with another region."""

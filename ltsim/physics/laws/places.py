@@ -56,14 +56,14 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     The groups are the branches of three cluster trees (average linkage); a surface is identified by the normals of its
     nests.
     """
-    if len(sightings.points) < 2 * MIN_GROUP_TARGETS:
+    if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
-    look = np.nan_to_num(sightings.nest_normal) * np.ptp(sightings.points, axis=0).max()
+    look = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     groups = set()
     for features in (
-        sightings.points,
-        np.hstack([sightings.points, look]),
-        np.hstack([sightings.points[:, 2:] * HEIGHT_WEIGHT, look]),
+        sightings.target_points,
+        np.hstack([sightings.target_points, look]),
+        np.hstack([sightings.target_points[:, 2:] * HEIGHT_WEIGHT, look]),
     ):
         tree = [[t] for t in range(len(features))]
         for first, second in linkage(features, "average")[:, :2].astype(int):
@@ -74,7 +74,10 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
 
 def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
     """Groups of a target and its nearest neighbours."""
-    near = [np.argsort(np.linalg.norm(sightings.points - point, axis=1), kind="stable") for point in sightings.points]
+    near = [
+        np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
+        for point in sightings.target_points
+    ]
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOUR_GROUP_SIZES if 2 * k < len(n)}
 
 

@@ -30,7 +30,7 @@ from ltsim.physics.laws.regressors import (
     with_position_dependence,
 )
 from ltsim.physics.laws.states import STATE_INPUTS, TIME_DECAY_FUNCTION, candidate_states, latch_thresholds
-from ltsim.scene.regions import Region, is_distinctive, regions_of
+from ltsim.scene.regions import HallRegion, candidate_regions, is_distinctive
 from ltsim.scene.sightings import Sightings
 
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
@@ -221,12 +221,14 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             ),
             *dead_band_regressors(s),
         ],
-        "passage": [passage_regressor(region) for region in regions_of(s)],
-        "lever": [passage_regressor(region, LEVER_FUNCTION) for region in regions_of(s)],
+        "passage": [passage_regressor(region) for region in candidate_regions(s)],
+        "lever": [passage_regressor(region, LEVER_FUNCTION) for region in candidate_regions(s)],
         "passage for a time": list(temporary_region_regressors(s)),
         "lever for a time": list(temporary_region_regressors(s, LEVER_FUNCTION)),
         "near": [
-            nearness_regressor(r) for r in regions_of(s, NEARNESS_REGION_SHAPES) if contains_several_targets(r, s)
+            nearness_regressor(r)
+            for r in candidate_regions(s, NEARNESS_REGION_SHAPES)
+            if contains_several_targets(r, s)
         ],
         "state": [state_regressor(*made) for made in candidate_states(s, _varying_covariates(s, STATE_INPUTS))],
         "latch": [latch_regressor(*made) for made in latch_thresholds(s, limited)],
@@ -245,17 +247,17 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
     ]
 
 
-def contains_several_targets(region: Region, sightings: Sightings) -> bool:
+def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
     """True if several targets are in a region: with one alone the error belongs to that target."""
-    return region.targets_within(sightings) > MIN_EFFECTIVE_TARGETS
+    return region.n_effective_targets(sightings) > MIN_EFFECTIVE_TARGETS
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
     """Regressors of regions of the hall that act in one part of the work."""
-    time, regions = np.unique(sightings.time), regions_of(sightings, TEMPORARY_REGION_SHAPES)
+    time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MIN_DISTINCT_TIMES or not regions:
         return
-    passing = np.stack([region.path(sightings) > region.width for region in regions])
+    passing = np.stack([region.path_lengths(sightings) > region.width for region in regions])
     for parts in TIME_PART_COUNTS:
         at = np.linspace(0, len(time) - 1, parts + 1).round().astype(int)
         ends = [*(0.5 * (time[at[1:-1]] + time[at[1:-1] - 1])).tolist(), np.inf]

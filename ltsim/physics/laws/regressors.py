@@ -26,7 +26,7 @@ from ltsim.physics.laws.columns import (
     smooth_curve_sigmas,
 )
 from ltsim.physics.laws.states import latch_column as latched, state_column
-from ltsim.scene.regions import Region
+from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 CLOCK_COVARIATES = ("time", "station-time")
@@ -118,7 +118,7 @@ class Regressor:
     """Regressors that the function combines: factors of a product, or steps and ramps."""
     centre_targets: tuple[str, ...] = ()
     """Names of the targets whose centre is the origin of a field."""
-    region: Region | None = None
+    region: HallRegion | None = None
     """Region of the hall on which the function depends."""
     latch_release: float = 0.0
     """Lower threshold of a latch."""
@@ -181,11 +181,11 @@ class Regressor:
             return latched(sightings, name, self.constant, self.latch_release)
         return state_column(sightings, name, self.function, self.constant)
 
-    def _region_column(self, region: Region, sightings: Sightings) -> Floats:
+    def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
         """Path (n,) [m] in a region, its lever [m], or the nearness of the targets."""
         if self.kind == "near":
-            return region.nearness(sightings)
-        return region.lever(sightings) if self.function == LEVER_FUNCTION else region.path(sightings)
+            return region.target_weights(sightings)
+        return region.levers(sightings) if self.function == LEVER_FUNCTION else region.path_lengths(sightings)
 
     def _group_indices(self, sightings: Sightings) -> tuple[Ints, Ints]:
         """Index (n,) of the station, instrument or target of each pointing, and the indices (k,) with an amount."""
@@ -195,7 +195,7 @@ class Regressor:
             return sightings.instrument, np.unique(sightings.instrument)
         every = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
-            return np.where(sightings.previous >= 0, sightings.target[sightings.previous], -1), every
+            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), every
         ids = [sightings.target_names.index(name) for name in self.centre_targets]
         return sightings.target, np.array(ids) if ids else every
 
@@ -243,16 +243,16 @@ class Regressor:
         return (spread,)
 
     @property
-    def hall_region(self) -> Region | None:
+    def hall_region(self) -> HallRegion | None:
         """Region of the hall on which the regressor, or one of its factors, depends."""
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
-    def with_region(self, region: Region) -> Regressor:
+    def with_region(self, region: HallRegion) -> Regressor:
         """Copy of the regressor with another region."""
         if self.region is None:
             factors = tuple(f.with_region(region) if f.region is not None else f for f in self.factors)
             return replace(self, factors=factors)
-        return replace(self, region=region, covariates=tuple(region.axes))
+        return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def centred_on(self, targets: tuple[str, ...]) -> Regressor:
         """Copy of the regressor with a field centred on some targets."""
@@ -302,14 +302,14 @@ proportion to the remaining length, so that the direction changes by the remaini
 """
 
 
-def passage_regressor(region: Region, function: str = "") -> Regressor:
+def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
     """Regressor with the length of the line of sight in a region of the hall, or its lever."""
-    return Regressor("passage", tuple(region.axes), function, region=region)
+    return Regressor("passage", tuple(region.bounded_axes), function, region=region)
 
 
-def nearness_regressor(region: Region) -> Regressor:
+def nearness_regressor(region: HallRegion) -> Regressor:
     """Regressor that is 1 for targets at the centre of a region and decreases with their distance from it."""
-    return Regressor("near", tuple(region.axes), region=region)
+    return Regressor("near", tuple(region.bounded_axes), region=region)
 
 
 def state_regressor(covariate: str, function: str, constant: float) -> Regressor:

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import ARCSECOND, FACTOR, MICROMETRE, PPM
+from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
@@ -81,7 +81,7 @@ class Response:
             if self.component_units
             else (self.display_unit, 1.0)
         )
-        return unit, scale / FACTOR[unit]
+        return unit, scale / SI_PER_UNIT[unit]
 
 
 _SLOT_RESPONSES = {
@@ -180,7 +180,7 @@ def _range_scale_design(sightings: Sightings) -> Floats:
 
 
 def _nest_normal_design(sightings: Sightings) -> Floats:
-    normal = np.nan_to_num(sightings.nest_normal[sightings.target])
+    normal = np.nan_to_num(sightings.nest_normals[sightings.target])
     return design_from_displacements(sightings, normal[:, :, None])
 
 
@@ -201,7 +201,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
         (_RANGE_SCALE, _range_scale_design),
         (_STAND_TILT, lambda s: station_design(s)[:, :, 3:5]),
         (_STAND_POSITION, lambda s: station_design(s)[:, :, :3]),
-        (_TARGET_POSITION, lambda s: s.by_target),
+        (_TARGET_POSITION, lambda s: s.target_derivatives),
         (_AIR_GRADIENT, AirGradient().design),
         (_TARGET_HEIGHT, _nest_normal_design),
         (_REFLECTOR_VERTEX, _vertex_design),
@@ -221,7 +221,7 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
     equal designs but different regressors.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
-    nests = bool(np.isfinite(sightings.nest_normal).any())
+    nests = bool(np.isfinite(sightings.nest_normals).any())
     for name, (response, derivative) in RESPONSES_BY_NAME.items():
         if name in _RESPONSES_NEEDING_NESTS and not nests:
             continue

@@ -60,7 +60,7 @@ def candidate_states(sightings: Sightings, inputs: Sequence[str]) -> list[StateK
     ]
     _cache_states(sightings, states)
     least = {name: MIN_RELATIVE_STATE_SPAN * float(np.ptp(sightings.quantities[name])) for name in inputs}
-    return [key for key in states if np.ptp(sightings.derived[key]) > least[key[0]]]
+    return [key for key in states if np.ptp(sightings.derived_cache[key]) > least[key[0]]]
 
 
 def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
@@ -87,15 +87,15 @@ def state_column(sightings: Sightings, covariate: str, function_name: str, const
     """State (n,) less its mean."""
     key: StateKey = covariate, function_name, constant
     _cache_states(sightings, [key])
-    values: Floats = sightings.derived[key]
+    values: Floats = sightings.derived_cache[key]
     return values
 
 
 def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
     """Latch (n,), 1 if a quantity was above one threshold later than below the other, else 0, less its mean."""
-    x, rows = sightings.quantities[covariate], sightings.by_set_up
+    x, rows = sightings.quantities[covariate], sightings.order_by_setup
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
-    first = sightings.previous[rows] < 0
+    first = sightings.previous_rows[rows] < 0
     event = np.where(
         first & np.isnan(event), (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64), event
     )
@@ -122,8 +122,8 @@ def _limit_quantity(sightings: Sightings, function_name: str) -> Floats:
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
     """Flags (n,) of the pointings at which a state is reset, except the first one of a set-up."""
-    came = sightings.previous >= 0
-    before = np.where(came, sightings.previous, 0)
+    came = sightings.previous_rows >= 0
+    before = np.where(came, sightings.previous_rows, 0)
     name = function_name.removeprefix("after ")
     if function_name in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION):
         return np.zeros(len(sightings), dtype=bool)
@@ -134,18 +134,18 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
     changing = {
         "face": sightings.face,
         "seating": sightings.target,
-        "azimuth": sightings.approach[:, 0],
-        "elevation": sightings.approach[:, 1],
+        "azimuth": sightings.approach_signs[:, 0],
+        "elevation": sightings.approach_signs[:, 1],
     }[name]
     return np.asarray(came & (changing != changing[before]))
 
 
 def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
     """Computation of several states (n,) together, cached with the sightings."""
-    states = [key for key in states if key not in sightings.derived]
+    states = [key for key in states if key not in sightings.derived_cache]
     if not states:
         return
-    rows = sightings.by_set_up
+    rows = sightings.order_by_setup
     inputs = {name: _increments(sightings, name)[rows] for name in {name for name, _, _ in states}}
     factors = {key: _remaining_fraction(sightings, *key)[rows] for key in {(how, k) for _, how, k in states}}
     added = np.stack([inputs[name] for name, _, _ in states], axis=1)
@@ -157,19 +157,19 @@ def _cache_states(sightings: Sightings, states: Sequence[StateKey]) -> None:
         values[i] = now
     values -= values.mean(axis=0)
     for key, column in zip(states, values.T, strict=True):
-        sightings.derived[key] = np.empty(len(rows))
-        sightings.derived[key][rows] = column
+        sightings.derived_cache[key] = np.empty(len(rows))
+        sightings.derived_cache[key][rows] = column
 
 
 def _increments(sightings: Sightings, covariate: str) -> Floats:
     """Change (n,) of a quantity since the previous pointing of the set-up, 0 for its first."""
     x = sightings.quantities[covariate]
-    return np.where(sightings.previous >= 0, x - x[sightings.previous], 0.0)
+    return np.where(sightings.previous_rows >= 0, x - x[sightings.previous_rows], 0.0)
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
     """Remaining fraction (n,) of a state at each pointing: 0 at a reset."""
-    came = (sightings.previous >= 0).astype(np.float64)
+    came = (sightings.previous_rows >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:
         return came * np.exp(-sightings.quantities["lapse"] / constant)
     if function_name == POINTING_DECAY_FUNCTION:

@@ -8,7 +8,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.effects.signature import NoiseSignature, Parameter
 from ltsim.physics.laws.columns import CIRCULAR_COVARIATES, MEMORY_PREFIXES
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.scene.regions import Region
+from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "in both faces")
@@ -61,7 +61,7 @@ class VarianceFunction(NoiseSignature):
     group_names: tuple[str, ...] = ()
     """Names of the groups with separate noise; empty for all."""
     per_observable: bool = False
-    region: Region | None = None
+    region: HallRegion | None = None
     covariate_band: tuple[float, ...] = ()
     """Limits of the covariate between which the noise is larger; empty for none."""
 
@@ -118,7 +118,7 @@ class VarianceFunction(NoiseSignature):
             return np.asarray(sigma**2 * factor)
         pattern = self.row_weights(sightings)
         if self.region is not None:
-            path = self.region.path(sightings)
+            path = self.region.path_lengths(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
             pattern = pattern * np.where(share > MIN_RELATIVE_PATH, share, 0.0)
             return self._variance_plus_fraction(sigma, values[0] * pattern)

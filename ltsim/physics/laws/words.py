@@ -26,7 +26,7 @@ from ltsim.physics.laws.regressors import (
 )
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME
 from ltsim.recordings.recording import Recording
-from ltsim.scene.regions import SHAPES, Region
+from ltsim.scene.regions import REGION_SHAPES, HallRegion
 
 ANGLE_COVARIATES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 """Covariates that are displayed in degrees."""
@@ -174,10 +174,10 @@ def _switch_text(regressor: Regressor, *, clock: bool) -> str:
     return SWITCH_TEMPLATE.format(x=name, spans=", ".join(spans))
 
 
-def region_text(region: Region) -> str:
+def region_text(region: HallRegion) -> str:
     """Text form of a region of the hall."""
-    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.axes, region.centre, strict=True))
-    return f"a {SHAPES[region.axes]} at {at}, width {region.width:.4g} m"
+    at = ", ".join(f"{axis} {value:.4g} m" for axis, value in zip(region.bounded_axes, region.centre, strict=True))
+    return f"a {REGION_SHAPES[region.bounded_axes]} at {at}, width {region.width:.4g} m"
 
 
 TEXT_FORM_EXAMPLES = (
@@ -202,7 +202,7 @@ _PLACEHOLDER_PATTERNS = {
     "value": f"(?P<value>{_NUMBER_PATTERN}) ?(?P<unit>[a-z]*)",
 }
 _REGION_PATTERN = re.compile(
-    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(SHAPES.values())}) "
+    rf"(?P<through>{'|'.join(REGION_PHRASES.values())}) a (?P<shape>{'|'.join(REGION_SHAPES.values())}) "
     rf"at (?P<at>.+), width (?P<width>{_NUMBER_PATTERN}) m"
 )
 _COORDINATE_PATTERN = re.compile(rf"([xyz]) ({_NUMBER_PATTERN}) m")
@@ -273,7 +273,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         )
     if len(steps) > 1:
         return piecewise_regressor([parse_regressor(step, recording) for step in steps])
-    further = recording.circumstances
+    further = recording.regressor_covariates
     covariates = (*READING_COVARIATES, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
     if match := _SWITCH_PATTERN.fullmatch(text):
         return _parse_switch(text, match, recording)
@@ -336,7 +336,7 @@ def _parse_latch(words: str, match: re.Match[str], recording: Recording) -> Regr
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
-        if value is None or name not in {*READING_COVARIATES, *recording.circumstances}:
+        if value is None or name not in {*READING_COVARIATES, *recording.regressor_covariates}:
             raise ModelError(f"'{words}': expected words such as '{TEXT_FORM_EXAMPLES[-2]}'")
         thresholds.append(_parse_constant(words, name, value.groupdict(), recording.has_clock))
     if thresholds[1] >= thresholds[0]:
@@ -344,14 +344,14 @@ def _parse_latch(words: str, match: re.Match[str], recording: Recording) -> Regr
     return latch_regressor(name, thresholds[0], thresholds[1])
 
 
-def _parse_region(text: str, match: re.Match[str]) -> Region:
+def _parse_region(text: str, match: re.Match[str]) -> HallRegion:
     """Region from its text form; raises ModelError."""
-    axes = next(axes for axes, shape in SHAPES.items() if shape == match["shape"])
+    axes = next(axes for axes, shape in REGION_SHAPES.items() if shape == match["shape"])
     centre = dict(_COORDINATE_PATTERN.findall(match["at"]))
     if "".join(centre) != axes or float(match["width"]) <= 0.0:
-        expected = region_text(Region(axes, (1.0,) * len(axes), 0.5))
+        expected = region_text(HallRegion(axes, (1.0,) * len(axes), 0.5))
         raise ModelError(f"'{text}': expected a region such as '{expected}'")
-    return Region(axes, tuple(map(float, centre.values())), float(match["width"]))
+    return HallRegion(axes, tuple(map(float, centre.values())), float(match["width"]))
 
 
 def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], clock: bool) -> float:

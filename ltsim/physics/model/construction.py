@@ -10,11 +10,11 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
-from ltsim.geometry.kinematics.chain import Chain, point, point_and_derivatives
-from ltsim.geometry.kinematics.dh import DH
-from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
-from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR
-from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
+from ltsim.geometry.kinematics.chain import KinematicChain, point_and_derivatives, point_of_readings
+from ltsim.geometry.kinematics.dh import DH_CHAIN
+from ltsim.geometry.kinematics.misalignment import MISALIGNMENT_CHAIN
+from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR_CHAIN
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
@@ -48,7 +48,7 @@ class Construction:
     """Kinematic chain and the parameters that act on its slots."""
 
     name: str
-    kinematic_chain: Chain
+    kinematic_chain: KinematicChain
     parameters: tuple[Parameter, ...]
     """Error parameters of the instrument."""
     terms: tuple[SlotTerm, ...]
@@ -82,7 +82,7 @@ class Construction:
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
-    def _chain_with_reading_slots(self) -> tuple[Chain, tuple[str, ...]]:
+    def _chain_with_reading_slots(self) -> tuple[KinematicChain, tuple[str, ...]]:
         """Chain with slots on all motions that depend on a reading, and the names of these slots."""
         still, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         for column in range(3):
@@ -123,7 +123,7 @@ class Construction:
 
     def point(self, raw: Floats, values: Floats) -> Floats:
         """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
-        return point(self.kinematic_chain, raw, self.slot_errors(raw, values))
+        return point_of_readings(self.kinematic_chain, raw, self.slot_errors(raw, values))
 
     def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3), its derivative with respect to the raw readings (n, 3, 3) and to the parameters (n, 3, p).
@@ -143,7 +143,7 @@ class Construction:
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
         raw = self._invert_chain(points, face, values, NEWTON_TOLERANCE)
-        raw[:, 1] = wrap(raw[:, 1])
+        raw[:, 1] = wrap_angle(raw[:, 1])
         return raw
 
     def _invert_chain(self, points: Floats, face: Ints, values: Floats, tolerance: float) -> Floats:
@@ -173,7 +173,7 @@ class Construction:
         reached, by_reading, by_value = self.linearised(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
-        raw[:, 1] = wrap(raw[:, 1])
+        raw[:, 1] = wrap_angle(raw[:, 1])
         return raw, by_point, -by_point @ by_value
 
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -188,7 +188,7 @@ def misalignment_construction(effects: Iterable[SlotEffect] = BASELINE) -> Const
     chosen = tuple(effects)
     return Construction(
         "misalignment",
-        MISALIGNMENT,
+        MISALIGNMENT_CHAIN,
         tuple(p for effect in chosen for p in effect.parameters),
         tuple(t for effect in chosen for t in effect.terms),
     )
@@ -265,7 +265,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         )
         parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
         terms.append(SlotTerm(slot, basis))
-    return Construction("dh", DH, tuple(parameters), tuple(terms))
+    return Construction("dh", DH_CHAIN, tuple(parameters), tuple(terms))
 
 
 def _joint_basis(column: int, basis_number: int) -> BasisFunction:
@@ -318,12 +318,12 @@ def steering_mirror_construction() -> Construction:
         unit, sigma = UNIT_AND_SIGMA_BY_PRIOR_KIND[kind]
         parameters.append(Parameter(name, unit, meaning, sigma, kind))
         terms.append(SlotTerm("elevation", lobe) if lobe else SlotTerm(name))
-    return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
+    return Construction("steering-mirror", STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
 
 
 def ideal_construction() -> Construction:
     """Construction without instrument parameters."""
-    return Construction("ideal", MISALIGNMENT, (), ())
+    return Construction("ideal", MISALIGNMENT_CHAIN, (), ())
 
 
 CONSTRUCTION_FACTORIES: dict[str, Callable[[], Construction]] = {

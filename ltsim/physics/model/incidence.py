@@ -17,7 +17,7 @@ from ltsim.physics.effects.effect import design_from_front_face_corrections
 from ltsim.physics.effects.signature import Parameter, Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.reflectors import smrs_of
+from ltsim.recordings.reflectors import smr_names
 from ltsim.recordings.setup import BenchTest
 from ltsim.scene.sightings import Sightings
 
@@ -83,7 +83,7 @@ def incidence_shift(recording: Recording, sightings: Sightings, reflectors: Mapp
 
     `reflectors` gives the parameters (p,) [SI] of `smr-incidence` by the name of the reflector; others have no error.
     """
-    names = np.array(smrs_of(recording))
+    names = np.array(smr_names(recording))
     by_law = ERROR_LAW.design(sightings)
     change = np.zeros((len(recording), 3))
     for name, values in reflectors.items():
@@ -97,7 +97,7 @@ def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceEr
     fixed = nests[recording.target]
     if not fixed.any():
         return
-    names = np.array(smrs_of(recording))
+    names = np.array(smr_names(recording))
     tests = {test.reflector: test for test in recording.setup.bench}
     for name in dict.fromkeys(names[fixed].tolist()):
         law = incidence_prior_from_bench_test(tests.get(name, tests.get("")))

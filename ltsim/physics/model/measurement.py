@@ -9,10 +9,10 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
-from ltsim.core.units import DEGREE, EARTH, MILLIMETRE
-from ltsim.geometry.alignment import align
+from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
+from ltsim.geometry.alignment import align_rigidly
 from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z, smallest_rotation
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import Construction
@@ -84,15 +84,15 @@ def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nes
         face=recording.face,
         repeat=recording.repeat,
         time=recording.time,
-        position=state.station_positions,
-        rotation=state.station_rotations,
-        points=state.target_points,
-        nest_normal=_nest_normals(recording) @ nest_rotation.T,
-        reaimed=np.array([recording.target_setup(name).reaimed for name in recording.targets], dtype=bool),
+        station_positions=state.station_positions,
+        station_rotations=state.station_rotations,
+        target_points=state.target_points,
+        nest_normals=_nest_normals(recording) @ nest_rotation.T,
+        is_reaimed=np.array([recording.target_setup(name).reaimed for name in recording.targets], dtype=bool),
         station_names=recording.stations,
         target_names=recording.targets,
-        covariates=recording.circumstances,
-        lift=reflector_offsets(recording),
+        covariates=recording.regressor_covariates,
+        reflector_offsets=reflector_offsets(recording),
     )
 
 
@@ -112,7 +112,7 @@ def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
     if not recording.setup.curved:
         return recording
     stations = dict(recording.setup.stations)
-    lean = (position - position.mean(axis=0))[:, :2] / EARTH
+    lean = (position - position.mean(axis=0))[:, :2] / EARTH_RADIUS
     for name, (x, y) in zip(recording.stations, lean.tolist(), strict=True):
         station = recording.station_setup(name)
         if station.levelled and station.vertical is None:
@@ -230,14 +230,16 @@ class MeasurementModel:
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, raw: Floats) -> Sightings:
         """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
         turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
-        return replace(geometry, nest_normal=geometry.nest_normal @ turn.T, encoder=raw)
+        return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=raw)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
-        return self.construction.readings(geometry.local, geometry.face, self._instrument_values(state))
+        return self.construction.readings(geometry.local_points, geometry.face, self._instrument_values(state))
 
     def geometry(self, state: NetworkState) -> Sightings:
         """Sightings at `state`, without the data that only effects need."""
-        return self._static_sightings.at(state.station_positions, state.station_rotations, state.target_points)
+        return self._static_sightings.with_geometry(
+            state.station_positions, state.station_rotations, state.target_points
+        )
 
     def extra_design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the readings per unit of each additional parameter."""
@@ -285,11 +287,13 @@ class MeasurementModel:
         """Predicted readings and their derivatives by poses, targets, instrument and additional effects."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
-        raw, by_point, by_instrument = self.construction.readings_and_design(sightings.local, sightings.face, values)
+        raw, by_point, by_instrument = self.construction.readings_and_design(
+            sightings.local_points, sightings.face, values
+        )
         if self.extra_effects:
             sightings = self._with_effect_data(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.station_rotations, 1, 2)[sightings.station]
-        by_pose = pose_design(by_target, sightings.arm)
+        by_pose = pose_design(by_target, sightings.sight_vectors)
         by_extra = np.zeros((len(sightings), 3, 0))
         if self.extra_effects:
             extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
@@ -365,10 +369,10 @@ def _plan_rotation_from_positions(
     axis = rotation[given, :, 2].mean(axis=0)
     level, here = np.eye(3), position[given]
     if np.linalg.norm(axis) > np.cos(MAX_AXIS_SPREAD):
-        level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
+        level = smallest_rotation(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
         here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
     try:
-        turn, _ = align(plan, here)
+        turn, _ = align_rigidly(plan, here)
     except NetworkError:
         return None
     return level.T @ turn
@@ -376,7 +380,7 @@ def _plan_rotation_from_positions(
 
 def _plan_rotation_from_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
     """Mean of the rotations that upright stations with these yaws imply."""
-    asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
+    asked = [r @ rotation_about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
     if not asked:
         return None
     u, _, vt = np.linalg.svd(np.sum(asked, axis=0))

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.units import EARTH, MILLIMETRE
+from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.physics.effects.effect import design_from_front_face_corrections
 from ltsim.physics.effects.signature import Parameter, Signature, design_from_displacements
 from ltsim.recordings.recording import (
-    ENDINGS,
     OBSERVABLES,
     OCCUPATION_COLUMNS,
     SHARED_COLUMN,
     SIGMA_UNITS,
+    UNIT_SUFFIXES,
     Recording,
 )
 from ltsim.scene.sightings import Sightings
@@ -100,7 +100,10 @@ class SharedErrors(Signature):
         A horizontal distance h = r cos(e) is computed from raw readings, but its error is declared for h: r changes so
         that h has that error, which also compensates for the error of e.
         """
-        reach, (range_, _, elevation) = self.reading_changes.copy(), sightings.read[self.is_horizontal].T[:, :, None]
+        reach, (range_, _, elevation) = (
+            self.reading_changes.copy(),
+            sightings.instrument_readings[self.is_horizontal].T[:, :, None],
+        )
         cosine = np.cos(elevation)
         change = (
             np.sign(cosine) * reach[self.is_horizontal, 0] + range_ * np.sin(elevation) * reach[self.is_horizontal, 2]
@@ -117,7 +120,7 @@ def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
         return ()
     reach = np.zeros((len(recording), len(OBSERVABLES), len(names)))
     for name, parts in columns.items():
-        k = ENDINGS.index(parts[2])
+        k = UNIT_SUFFIXES.index(parts[2])
         reach[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
     return (SharedErrors(reach, recording.is_horizontal),)
 
@@ -146,8 +149,8 @@ class Refraction(Signature):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the coefficient."""
-        _, across, up = sightings.unit_vectors
-        bend = -sightings.range_ / (2.0 * EARTH)  # corrections, hence the sign
+        _, across, up = sightings.beam_vectors
+        bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # corrections, hence the sign
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
         return design_from_front_face_corrections(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 

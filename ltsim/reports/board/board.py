@@ -39,7 +39,7 @@ from ltsim.reports.scene_page import scene_page
 from ltsim.reports.workshop import from_scenario
 from ltsim.scene.floor import grid_step
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import Reason, shadow_radius
+from ltsim.scene.visibility import InvisibilityReason, shadow_radii
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
@@ -160,12 +160,12 @@ class Board:
         if _touches(survey):
             return {"problem": broken_rules_text(places)}
         table = layout_visibility(site, survey)
-        survey = survey.replace(is_visible=table.visible)
+        survey = survey.replace(is_visible=table.is_visible)
         evaluation = {
-            "reasons": table.reason.tolist(),
-            "hidden": int(Reason.OBSTACLE),
+            "reasons": table.reasons.tolist(),
+            "hidden": int(InvisibilityReason.OBSTACLE),
             "may_stand": self.site.is_allowed(survey.station_positions).tolist(),
-            "shadow": shadow_radius(survey.station_positions, 0.0, self.site.sight_limits.cone_opening).tolist(),
+            "shadow": shadow_radii(survey.station_positions, 0.0, self.site.sight_limits.cone_opening).tolist(),
             "hours": survey.duration / 3600.0,
             "problem": broken_rules_text((*places, *site.broken_sight_rules(survey))),
         }
@@ -189,7 +189,7 @@ class Board:
         if not self.demands or _touches(survey):
             return None
         site = self._site(survey)
-        survey = survey.replace(is_visible=layout_visibility(site, survey).visible)
+        survey = survey.replace(is_visible=layout_visibility(site, survey).is_visible)
         losses = checks_after_required_losses(survey, self.demands, self.construction)
         checks = check_tolerances(survey, self.demands, self.construction)
         judgement = plan_verdict(self.demands, checks, losses, site.broken_rules(survey))

@@ -17,8 +17,8 @@ from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.statistics import NORMAL_QUANTILE_95, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, unknown_name
-from ltsim.core.notation import number
-from ltsim.core.units import BY_ENDING
+from ltsim.core.notation import number_text
+from ltsim.core.units import UNIT_BY_KEY_ENDING
 from ltsim.reports import style
 from ltsim.reports.words import typeset
 
@@ -66,7 +66,7 @@ class SweepPoint:
 
 def title(factor: Factor) -> str:
     """Title of the axis of a factor: `angle noise [arcsec]`."""
-    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
+    plain = next((factor.name.removesuffix(e) for e in UNIT_BY_KEY_ENDING if factor.name.endswith(e)), factor.name)
     unit = typeset(factor.unit)
     return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
 
@@ -321,7 +321,7 @@ def _panel(ax: Axes, row: TrialDistribution) -> None:
         ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
         right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
-            typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
+            typeset(f"{number_text(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
             xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
             va="top", in_layout=False,
         )  # fmt: skip

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number, with_sigma
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.results import Table
 from ltsim.reports import style
 from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
@@ -78,7 +78,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    style.at_right(ax, places, [f"{number(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
+    style.at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     style.legend_of(figure, [ax])
     return figure

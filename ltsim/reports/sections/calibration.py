@@ -20,11 +20,11 @@ from ltsim.calibration.schema import (
 )
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option
-from ltsim.core.notation import fixed, number
+from ltsim.core.notation import fixed_point_text, number_text
 from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided
-from ltsim.core.units import FACTOR
+from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, Setup
-from ltsim.recordings.result_file import check_source
+from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document import (
     Block,
@@ -71,7 +71,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
         When a file is malformed.
     """
     recording = context.recording
-    check_source(content, recording, context.folder or Path())
+    require_same_recording(content, recording, context.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         words = "the noise was estimated from the same readings, so the global test does not apply"
@@ -144,7 +144,8 @@ def _answer(content: Calibration, agreement_words: str, targets: Path | None) ->
         compared = f"{abs(change):.1f} % {word} than" if abs(change) >= MIN_CHANGE else "as well as"
         begin += (
             f"; stations agree about distances {compared} before "
-            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um if distance.after else None)} um)"
+            f"({number_text(distance.before.mean_um)} to "
+            f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
     if content.outliers:
         rejected = sum(outlier.excluded for outlier in content.outliers)
@@ -182,13 +183,13 @@ def _facts(content: Calibration, *, agrees: bool) -> list[Fact]:
     fit, noise_estimated = content.fit, content.noise_estimated
     p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
-        Fact("sigma0", fixed(fit.sigma0, 3), mood(agrees)),
+        Fact("sigma0", fixed_point_text(fit.sigma0, 3), mood(agrees)),
         Fact("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
     if agrees and content.correction is not None and content.correction.uncorrected_um > 0:
-        expected = f"{number(content.correction.point_errors_um[1], 3)} um"
+        expected = f"{number_text(content.correction.point_errors_um[1], 3)} um"
         facts.append(Fact("expected 3D error of a new point, corrected", expected))
     return facts
 
@@ -248,7 +249,7 @@ def _actions(content: Calibration, *, good: bool) -> list[str]:
 def _parameters(content: Calibration, truth: Truth | None) -> list[Block]:
     rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
-    true = [true_values[n] / FACTOR[truth.units[n]] if truth and n in true_values else None for n in names]
+    true = [true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names]
     text = "Corrections (truth minus reading) with 95 % intervals, relative to the specified standard deviation."
     note = "Corrections, truth minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):

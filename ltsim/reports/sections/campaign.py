@@ -21,7 +21,7 @@ from ltsim.campaigns.schema import (
     ratio_columns,
 )
 from ltsim.campaigns.statistics import SolverComparison, StatisticSummary, ZScoreSummary
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.core.results import Table as TableOf
 from ltsim.reports.document import Block, CodeBlock, Fact, Picture, Section, TableBlock, mood, table_block
 from ltsim.reports.figures.campaign import (
@@ -97,7 +97,7 @@ def campaign_section(folder: Path) -> Section:
 
 
 def _mean(s: StatisticSummary, level: str = "95 %: ") -> str:
-    return f"{number(s.mean)} ({level}{number(s.low)} to {number(s.high)})"
+    return f"{number_text(s.mean)} ({level}{number_text(s.low)} to {number_text(s.high)})"
 
 
 def _answer(
@@ -117,7 +117,7 @@ def _answer(
             means_in_words.append(f"{method} by {_mean(means[0])} %")
         elif means:
             low, high = min(s.mean for s in means), max(s.mean for s in means)
-            means_in_words.append(f"{method} by {number(low)} to {number(high)} %")
+            means_in_words.append(f"{method} by {number_text(low)} to {number_text(high)} %")
     text = f"{size}, calibration improves the distance criterion on average: {'; '.join(means_in_words)}."
     return (text if means_in_words else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
 
@@ -128,7 +128,9 @@ def _extremes(results: CampaignResults, spreads: Mapping[str, list[StatisticSumm
         return ""
     names, several = cell_words(results), len(results.manifest.methods) > 1
     least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
-    first, last = (f"{number(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most))
+    first, last = (
+        f"{number_text(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most)
+    )
     return f" The error of the targets is smallest with {first} and largest with {last}."
 
 
@@ -190,7 +192,8 @@ def _improvements(
             outside = [s for s in rows if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
             where = f"outside in {len(outside)} of {len(rows)} settings" if outside else "inside in every setting"
             comparison = (
-                f" The published value {number(paper)} is dashed; compared with the 90 % of the trials it is {where}."
+                f" The published value {number_text(paper)} is dashed; compared with the 90 % of the trials it "
+                f"is {where}."
             )
             caption = text if paper is None else text + comparison
             blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
@@ -285,12 +288,12 @@ def _statistics(
     """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
-    shown = _settings(results, cells.only(" ".join(name for name in cells.header if name not in more)))
+    shown = _settings(results, cells.with_columns(" ".join(name for name in cells.header if name not in more)))
     means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     ended = results.table("ends")
-    ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
+    ended = _settings(results, ended.with_columns(" ".join(name for name in ended.header if name != "cell")))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
         CodeBlock("Definitions of the statistics", "\n".join(means)),

@@ -14,7 +14,7 @@ from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
-from ltsim.core.notation import NONE, number
+from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided
 from ltsim.core.results import Table, numbers, texts
 from ltsim.physics.model.construction import declared_construction
@@ -155,7 +155,7 @@ def targets_in_words(sigma: Floats) -> str:
     sizes = np.sort(np.sqrt((placed[:, : 2 if flat else 3] ** 2).sum(axis=1)))
     if not len(sizes):
         return ""
-    typical, worst = (number(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
+    typical, worst = (number_text(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
     where = "plan" if flat else "space"
     return f"Expanded uncertainty of a target in {where}: U = {typical} um (k = 2), {worst} um for the worst."
 
@@ -216,7 +216,7 @@ def _table(recording: Recording) -> list[TableBlock]:
     for s, name in enumerate(recording.stations):
         here = recording.station == s
         sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
-        begin = duration(float(recording.time[here].min())) if recording.has_clock else NONE
+        begin = duration(float(recording.time[here].min())) if recording.has_clock else MISSING_TEXT
         rows.append([name, *map(int, sizes), int((~recording.measured[here]).sum()), begin])
     return table_block("Work of each station", WORK.filled(rows))
 

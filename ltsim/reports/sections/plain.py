@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from ltsim.acceptance.files import AcceptanceFile, passes_words
+from ltsim.acceptance.files import AcceptanceFile, pass_probability_text
 from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.significance import FAMILY_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_FOR_USUAL, EventEntry
 from ltsim.calibration.history import History
-from ltsim.core.notation import number
+from ltsim.core.notation import number_text
 from ltsim.core.probability import format_p, p_text
-from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
+from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.reports import figures
@@ -78,7 +78,9 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = "a +- b: one standard deviation; visible: the smallest motion that is detected with probability 80 %."
-    shown = DISPLACEMENTS.filled(d.row for d in points).only("target moved dx_um dy_um dz_um a_um visible_um p_value")
+    shown = DISPLACEMENTS_TABLE.filled(d.row for d in points).with_columns(
+        "target moved dx_um dy_um dz_um a_um visible_um p_value"
+    )
     table = table_block("Every point", shown, note=note, marked=frozenset(range(len(moved))), folds=False)
     facts = [
         Fact("points", str(len(points))),
@@ -117,7 +119,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     worst = content.worst_passing
     if worst is not None:
         constants = ", ".join(
-            f"{name} {number(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
+            f"{name} {number_text(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
         )
         blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test detects {', '.join(blind)}. " if blind else ""
@@ -128,7 +130,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         blocks.append(Note("Undetected instrument errors", text))
     facts = [
         Fact("tests", str(len(content.tests))),
-        Fact("probability to pass" if predicted else "passed", passes_words(content, content.passes), good),
+        Fact("probability to pass" if predicted else "passed", pass_probability_text(content, content.passes), good),
         Fact("plan", content.plan),
         *([Fact("limits", content.specification.name)] if content.specification.name else []),
     ]
@@ -140,7 +142,9 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
 def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     """Section of the uncertainties of tasks."""
     judged_results = [r for r in content.results if r.conformity is not None]
-    results = content.table("results").only("task result unit value U mc_low mc_high agrees judgement largest_source")
+    results = content.table("results").with_columns(
+        "task result unit value U mc_low mc_high agrees judgement largest_source"
+    )
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
@@ -151,14 +155,13 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
-    by_word = {w: [r.words for r in judged_results if r.conformity and r.conformity.judgement == w]
+    by_word = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
-        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
-        or content.results[0].words
+        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or content.results[0].text
     )
     facts = [Fact("results", str(len(content.results))), Fact("coverage", f"{100 * content.coverage:g} %")]
-    facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number(content.sigma0))]
+    facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number_text(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
     return Section(
         title, "Uncertainty", sentence(answer), mood(not by_word["rejected"]), facts, blocks, axes=content.frame
@@ -182,7 +185,7 @@ def next_section(content: NextMeasurement, _: ReportContext) -> Section:
     answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
     answer = sentence(content.advice) if content.between and content.advice else answer
     note = "Factors on the standard deviations of the instrument's parameters: their mean, and the smallest."
-    proposals = content.table("proposals").only("do minutes sharper serves serves_factor")
+    proposals = content.table("proposals").with_columns("do minutes sharper serves serves_factor")
     blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
     if content.between:
         explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment.identification.local_shifts import MAX_TRIMMED_FITS, N_REWEIGHTINGS, LocalShift, fit_local_shifts
-from ltsim.core.arrays import AT_ONCE
+from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES
 from ltsim.core.randomness import stream
 
 PRICE = 8.0
@@ -62,7 +62,7 @@ def test_each_shift_of_a_batch_is_fitted_as_alone(seed: int) -> None:
 
 def test_shifts_of_many_readings_are_fitted_in_several_batches() -> None:
     rng = stream(4, "local shifts")
-    design = rng.standard_normal((AT_ONCE // 6, 3, 2))
+    design = rng.standard_normal((MAX_TEMPORARY_ENTRIES // 6, 3, 2))
     residual = design @ [30.0, -10.0]
     large = [LocalShift.from_design(design * scale, residual, np.abs(residual) > 4.0) for scale in (1.0, 2.0, 4.0)]
     for scale, (_, parameters) in zip((1.0, 2.0, 4.0), fit_local_shifts(large, PRICE), strict=True):

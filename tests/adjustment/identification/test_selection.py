@@ -28,8 +28,8 @@ from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import stream
-from ltsim.geometry.alignment import robust_align
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.alignment import align_robustly
+from ltsim.geometry.rotations import rotation_about_z
 from ltsim.physics.effects.motions import exact_station_change, exact_target_change
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
@@ -267,12 +267,12 @@ def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> No
 
 def test_alignment_survives_one_point_of_four_that_is_off_by_any_amount() -> None:
     source = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 1.0], [5.0, 7.0, 0.0], [0.0, 6.0, 3.0]])
-    turn, shift = about_z(0.7), np.array([1.0, -2.0, 0.3])
+    turn, shift = rotation_about_z(0.7), np.array([1.0, -2.0, 0.3])
     goal = source @ turn.T + shift
     for off in (0.01, 1.0, 100.0):
         wrong = goal.copy()
         wrong[2, 0] += off
-        rotation, translation = robust_align(source, wrong)
+        rotation, translation = align_robustly(source, wrong)
         assert np.abs(source @ rotation.T + translation - goal).max() < 0.02 * off
 
 

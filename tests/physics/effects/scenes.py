@@ -46,11 +46,11 @@ def scene(*, lean: float = TILT) -> Sightings:
         face=face,
         repeat=np.ones(len(rows), dtype=np.int64),
         time=time,
-        position=STATIONS,
-        rotation=np.stack([rotation(float(y), lean * i) for i, y in enumerate(YAWS)]),
-        points=points,
-        nest_normal=normal,
-        reaimed=reaimed,
+        station_positions=STATIONS,
+        station_rotations=np.stack([rotation(float(y), lean * i) for i, y in enumerate(YAWS)]),
+        target_points=points,
+        nest_normals=normal,
+        is_reaimed=reaimed,
         station_names=tuple(f"S{i + 1}" for i in range(len(STATIONS))),
         target_names=tuple(f"T{i + 1:02d}" for i in range(len(points))),
         covariates={"air_temperature_c": 20.0 + time / 3600.0, "distance_mode": (np.arange(len(rows)) // 3) % 2.0},
@@ -95,7 +95,7 @@ def network_basis(sightings: Sightings, *, scale: bool = False) -> Floats:
     """Orthonormal basis (3n, u) of what poses, targets and one range scale absorb, in lengths across the beam."""
     n, s, t = len(sightings), len(sightings.station_names), len(sightings.target_names)
     design = np.zeros((n, 3, 6 * s + 3 * t + 1))
-    pose, point = station_design(sightings), sightings.by_target
+    pose, point = station_design(sightings), sightings.target_derivatives
     for i in range(n):
         at = 6 * sightings.station[i]
         design[i, :, at : at + 6] = pose[i]

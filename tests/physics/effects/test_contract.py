@@ -88,7 +88,7 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
 )
 def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
     """Two metres above its mark it sees another turn of the station than the mark would, exactly and in first order."""
-    lifted = replace(SCENE, lift=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
+    lifted = replace(SCENE, reflector_offsets=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
     for effect in samples(kind, lifted):
         values = 0.1 * prior(effect)
         np.testing.assert_allclose(effect.reading_change(lifted, 0.0 * values), 0.0, atol=1e-13)
@@ -147,7 +147,9 @@ def test_first_order_agrees_with_the_exact_chain(kind: type[SlotEffect]) -> None
     for effect in samples(kind, SCENE):
         assert isinstance(effect, SlotEffect)
         values = 0.01 * prior(effect)
-        exact = misalignment_construction([effect]).readings(SCENE.local, SCENE.face, values) - SCENE.raw
+        exact = (
+            misalignment_construction([effect]).readings(SCENE.local_points, SCENE.face, values) - SCENE.raw_readings
+        )
         exact[:, 1] = (exact[:, 1] + np.pi) % (2 * np.pi) - np.pi
         linear = effect.design(SCENE) @ values
         np.testing.assert_allclose(exact, linear, atol=2e-3 * np.abs(linear).max() + 1e-13)

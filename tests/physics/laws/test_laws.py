@@ -75,7 +75,7 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     rng = stream(3, "load")
     load = rng.uniform(0.0, 50.0, len(sightings))
     loaded = replace(sightings, covariates={"press_load_kn": load})
-    before = loaded.previous
+    before = loaded.previous_rows
     there = before >= 0
     followed = {f for kind in ("memory", "lag") for d in candidate_regressors(loaded)[kind] for f in d.covariates}
     for name in ("azimuth", "elevation", "distance", "press_load_kn"):
@@ -94,8 +94,8 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
 
 def test_amounts_are_those_of_the_target_measured_before(sightings):
     found = group_amounts_regressor("last-target", len(sightings.target_names)).columns(sightings)
-    rows = sightings.previous >= 0
-    np.testing.assert_array_equal(np.argmax(found[rows], axis=1), sightings.target[sightings.previous[rows]])
+    rows = sightings.previous_rows >= 0
+    np.testing.assert_array_equal(np.argmax(found[rows], axis=1), sightings.target[sightings.previous_rows[rows]])
     assert not found[~rows].any()
 
 

@@ -25,7 +25,7 @@ from ltsim.physics.laws.states import (
     latch_thresholds,
     state_column,
 )
-from ltsim.scene.regions import SHAPES, Region, levers, paths
+from ltsim.scene.regions import REGION_SHAPES, HallRegion, region_levers, region_paths
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -41,14 +41,14 @@ def by_hand(s: Sightings, name: str, how: str, constant: float) -> np.ndarray:
     """A state pointing by pointing, as it is defined."""
     x, values = s.quantities[name], np.zeros(len(s))
     for station in range(len(s.station_names)):
-        rows = [row for row in s.order if s.station[row] == station]
+        rows = [row for row in s.measurement_order if s.station[row] == station]
         now = 0.0
         for number, (before, row) in enumerate(pairwise(rows), start=1):
             gap = s.time[row] - s.time[before]
             released = {
                 "after face": s.face[row] != s.face[before],
                 "after seating": s.target[row] != s.target[before],
-                "after azimuth": s.approach[row, 0] != s.approach[before, 0],
+                "after azimuth": s.approach_signs[row, 0] != s.approach_signs[before, 0],
                 "after pause": gap > constant,
                 "after tip": abs(s.quantities["move-elevation"][row]) > constant,
                 FIXED_COUNT_RESET_FUNCTION: number % constant == 0,
@@ -84,7 +84,7 @@ def test_a_state_is_what_its_definition_gives(sightings: Sightings, name: str, h
 def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None:
     tried = candidate_states(sightings, STATE_INPUTS)
     assert len(set(tried)) == len(tried) > 100
-    columns = np.stack([sightings.derived[key] for key in tried], axis=1)
+    columns = np.stack([sightings.derived_cache[key] for key in tried], axis=1)
     assert np.isfinite(columns).all() and (columns.std(axis=0) > 0.0).all()
     again = np.stack(
         [
@@ -96,7 +96,7 @@ def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None
     )
     kept = np.stack(
         [
-            sightings.derived[key]
+            sightings.derived_cache[key]
             for key in tried[::40]
             if key[1] in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION, FIXED_COUNT_RESET_FUNCTION)
         ],
@@ -110,8 +110,8 @@ def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
         x = sightings.quantities[name]
         on = latch_regressor(name, above, below).columns(sightings)[:, 0] > 0.0
         assert on[x > above].all() and not on[x < below].any()
-        between = (x <= above) & (x >= below) & (sightings.previous >= 0)
-        np.testing.assert_array_equal(on[between], on[sightings.previous[between]])
+        between = (x <= above) & (x >= below) & (sightings.previous_rows >= 0)
+        np.testing.assert_array_equal(on[between], on[sightings.previous_rows[between]])
 
 
 def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
@@ -152,30 +152,30 @@ def test_edges_of_a_switch_move_one_at_a_time(sightings: Sightings) -> None:
     assert {other.regressor.kind for other in finer} == {"switch"}
 
 
-@pytest.mark.parametrize("axes", SHAPES)
+@pytest.mark.parametrize("axes", REGION_SHAPES)
 def test_the_lever_of_a_region_is_its_integral(sightings: Sightings, axes: str) -> None:
     """Integral of w (d - s) / d along each line of sight by the trapezoidal rule."""
-    middle = sightings.points.mean(axis=0)
+    middle = sightings.target_points.mean(axis=0)
     at = ["xyz".index(axis) for axis in axes]
-    region = Region(axes, tuple((middle[at] + 0.3).tolist()), 0.6)
+    region = HallRegion(axes, tuple((middle[at] + 0.3).tolist()), 0.6)
     length = sightings.range_
     s = np.linspace(0.0, 1.0, QUADRATURE)[None] * length[:, None]
-    beam = sightings.unit_vectors[0]
-    places = sightings.position[sightings.station][:, None] + s[:, :, None] * beam[:, None]
+    beam = sightings.beam_vectors[0]
+    places = sightings.station_positions[sightings.station][:, None] + s[:, :, None] * beam[:, None]
     gap = places[:, :, at] - np.array(region.centre)
     w = np.exp(-0.5 * np.sum(gap**2, axis=2) / region.width**2)
     expected = np.trapezoid(w * (1.0 - s / length[:, None]), s, axis=1)
-    np.testing.assert_allclose(region.lever(sightings), expected, rtol=1e-5, atol=1e-6)
-    path = paths(sightings, axes, np.array([region.centre]), region.width)
+    np.testing.assert_allclose(region.levers(sightings), expected, rtol=1e-5, atol=1e-6)
+    path = region_paths(sightings, axes, np.array([region.centre]), region.width)
     np.testing.assert_allclose(
-        levers(sightings, axes, np.array([region.centre]), region.width, path)[0], expected, rtol=1e-5, atol=1e-6
+        region_levers(sightings, axes, np.array([region.centre]), region.width, path)[0], expected, rtol=1e-5, atol=1e-6
     )
 
 
 def test_nearness_falls_with_the_distance_of_the_target(sightings: Sightings) -> None:
-    region = Region("xy", (1.0, 2.0), 0.5)
-    gap = np.hypot(*(sightings.points[sightings.target][:, :2] - (1.0, 2.0)).T)
-    np.testing.assert_allclose(region.nearness(sightings), np.exp(-2.0 * gap**2), atol=1e-12)
+    region = HallRegion("xy", (1.0, 2.0), 0.5)
+    gap = np.hypot(*(sightings.target_points[sightings.target][:, :2] - (1.0, 2.0)).T)
+    np.testing.assert_allclose(region.target_weights(sightings), np.exp(-2.0 * gap**2), atol=1e-12)
 
 
 def test_a_place_has_several_targets_near_it_wherever_it_is_moved(sightings: Sightings) -> None:
@@ -184,9 +184,9 @@ def test_a_place_has_several_targets_near_it_wherever_it_is_moved(sightings: Sig
     assert tried and all(contains_several_targets(driver.region, sightings) for driver in tried)
     law = EmpiricalLaw(
         response=RESPONSES_BY_NAME["distance"][0],
-        regressor=min(tried, key=lambda d: d.region.targets_within(sightings)),
+        regressor=min(tried, key=lambda d: d.region.n_effective_targets(sightings)),
     )
     assert all(contains_several_targets(other.regressor.region, sightings) for other in law.neighbours(sightings))
-    alone = Region("xyz", tuple(sightings.points[0].tolist()), 0.02)
-    assert alone.targets_within(sightings) == pytest.approx(1.0, abs=1e-6)
+    alone = HallRegion("xyz", tuple(sightings.target_points[0].tolist()), 0.02)
+    assert alone.n_effective_targets(sightings) == pytest.approx(1.0, abs=1e-6)
     assert not contains_several_targets(alone, sightings)

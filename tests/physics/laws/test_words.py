@@ -37,7 +37,7 @@ from ltsim.physics.laws.words import (
     regressor_text,
 )
 from ltsim.recordings import Recording
-from ltsim.scene.regions import SHAPES, Region
+from ltsim.scene.regions import REGION_SHAPES, HallRegion
 from tests.networks import network
 
 
@@ -87,8 +87,8 @@ def every() -> list[Regressor]:
         [scalar_regressor("press_load_kn", "power"), piecewise_regressor(edges[:1] * 2)], 2
     )
     found += [
-        make(Region(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35))
-        for axes in SHAPES
+        make(HallRegion(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35))
+        for axes in REGION_SHAPES
         for make in (passage_regressor, partial(passage_regressor, function=LEVER_FUNCTION), nearness_regressor)
     ]
     found += [scalar_regressor("move-elevation", how, 0.3) for how in ("slack", "within", "stuck")]
@@ -115,7 +115,7 @@ def every() -> list[Regressor]:
         switch_regressor([scalar_regressor("time", "step", edge) for edge in times])
         for times in ((300.0, 900.0), (300.0, 900.0, 1500.0))
     ]
-    column, start = passage_regressor(Region("xy", (1.0, 2.0), 0.3)), scalar_regressor("time", "step", -np.inf)
+    column, start = passage_regressor(HallRegion("xy", (1.0, 2.0), 0.3)), scalar_regressor("time", "step", -np.inf)
     found += [
         Regressor("product", factors=(column, switch_regressor([start, scalar_regressor("time", "step", 600.0)]))),
         Regressor(

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import stream
-from ltsim.geometry.polar import from_polar, wrap
+from ltsim.geometry.polar import from_polar, wrap_angle
 from ltsim.physics.model.construction import (
     Construction,
     dh_construction,
@@ -88,7 +88,7 @@ def test_reading_of_point_of_reading_closes(name: str, seed: int) -> None:
     raw = made.readings(points, face, values)
     again = made.readings(made.point(raw, values), face, values)
     change = again - raw
-    change[:, 1] = wrap(change[:, 1])
+    change[:, 1] = wrap_angle(change[:, 1])
     np.testing.assert_allclose(change, 0, atol=1e-12)
 
 
@@ -125,7 +125,7 @@ def test_reading_design_by_parameters(name: str, seed: int) -> None:
         step = np.zeros(made.n_parameters)
         step[i] = parameter.prior_sigma
         change = made.readings(points, face, values + step) - made.readings(points, face, values - step)
-        change[:, 1] = wrap(change[:, 1])
+        change[:, 1] = wrap_angle(change[:, 1])
         numeric = change * across(raw)[:, :, 0] / (2 * parameter.prior_sigma)
         # A parameter without effect has no size of its own: the unit does, a metre or a radian over 1 m.
         size = max(float(np.abs(analytic[:, :, i]).max()), 1.0)
@@ -147,7 +147,7 @@ def test_reading_design_by_the_point(name: str, seed: int) -> None:
     for axis in range(3):
         move = 1e-4 * np.eye(3)[axis]
         change = made.readings(points + move, face, values) - made.readings(points - move, face, values)
-        change[:, 1] = wrap(change[:, 1])
+        change[:, 1] = wrap_angle(change[:, 1])
         numeric = change * across(raw)[:, :, 0] / 2e-4
         np.testing.assert_allclose(numeric, analytic[:, :, axis], rtol=0, atol=2e-4)
 

@@ -20,7 +20,7 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
-from ltsim.geometry.rotations import about_z, cross_matrix
+from ltsim.geometry.rotations import cross_matrix, rotation_about_z
 from ltsim.physics.model.construction import dh_construction
 from ltsim.scene.sightings import Sightings
 
@@ -49,11 +49,11 @@ def reference_network(faces: tuple[int, ...], seed: int) -> Sightings:
         face=face,
         repeat=np.ones(count, dtype=np.int64),
         time=np.arange(count, dtype=np.float64),
-        position=np.column_stack([floor, rng.uniform(1.9, 2.1, STATIONS)]),
-        rotation=np.stack([about_z(yaw) for yaw in rng.uniform(-np.pi, np.pi, STATIONS)]),
-        points=np.concatenate([mesh, gauge]),
-        nest_normal=np.full((targets, 3), np.nan),
-        reaimed=np.ones(targets, dtype=bool),
+        station_positions=np.column_stack([floor, rng.uniform(1.9, 2.1, STATIONS)]),
+        station_rotations=np.stack([rotation_about_z(yaw) for yaw in rng.uniform(-np.pi, np.pi, STATIONS)]),
+        target_points=np.concatenate([mesh, gauge]),
+        nest_normals=np.full((targets, 3), np.nan),
+        is_reaimed=np.ones(targets, dtype=bool),
         station_names=tuple(f"S{s}" for s in range(STATIONS)),
         target_names=tuple(f"T{t}" for t in range(targets)),
     )
@@ -84,13 +84,13 @@ class Design:
 def design(faces: tuple[int, ...], seed: int) -> Design:
     sightings, made = reference_network(faces, seed), dh_construction()
     count, each = len(sightings), np.arange(len(sightings))
-    _, by_value = made.reading_design(sightings.raw, np.zeros(made.n_parameters))
-    arm = sightings.points[sightings.target] - sightings.position[sightings.station]
+    _, by_value = made.reading_design(sightings.raw_readings, np.zeros(made.n_parameters))
+    arm = sightings.target_points[sightings.target] - sightings.station_positions[sightings.station]
     pose = np.zeros((count, 3, STATIONS, 6))
-    pose[each, :, sightings.station, :3] = -sightings.by_target
-    pose[each, :, sightings.station, 3:] = sightings.by_target @ cross_matrix(arm)
+    pose[each, :, sightings.station, :3] = -sightings.target_derivatives
+    pose[each, :, sightings.station, 3:] = sightings.target_derivatives @ cross_matrix(arm)
     target = np.zeros((count, 3, MESH + GAUGE, 3))
-    target[each, :, sightings.target] = sightings.by_target
+    target[each, :, sightings.target] = sightings.target_derivatives
     across = sightings.range_ * np.cos(sightings.elevation)
     lengths = np.stack([np.ones(count), across, sightings.range_], axis=1)[:, :, None]
     instrument, pose, target = (
@@ -99,7 +99,7 @@ def design(faces: tuple[int, ...], seed: int) -> Design:
     pairs = list(combinations(range(MESH, MESH + GAUGE), 2))
     by_target = np.zeros((len(pairs), MESH + GAUGE, 3))
     for row, (i, j) in enumerate(pairs):
-        ray = sightings.points[j] - sightings.points[i]
+        ray = sightings.target_points[j] - sightings.target_points[i]
         by_target[row, j] = ray / np.linalg.norm(ray)
         by_target[row, i] = -by_target[row, j]
     return Design(instrument, pose, target, by_target.reshape(len(pairs), -1))

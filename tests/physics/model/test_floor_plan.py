@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.geometry.rotations import from_rotation_vector, rotation_about_z
 from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
@@ -51,7 +51,7 @@ def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
 
 def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
     recording, _ = recording_with(position_mm=None, yaw_deg=None)
-    stations = np.stack([about_z(float(y)) for y in YAWS])
+    stations = np.stack([rotation_about_z(float(y)) for y in YAWS])
     np.testing.assert_array_equal(plan_rotation(recording, STATIONS, stations), np.eye(3))
 
 

@@ -20,7 +20,7 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.tolerances import check_tolerances
 from ltsim.reports.board.board import Board
-from ltsim.scene.visibility import Reason
+from ltsim.scene.visibility import InvisibilityReason
 from tests.planning.test_hall import HALL, points_csv
 from tests.reports.board.tab import opened
 from tests.reports.browser import find_browser
@@ -42,12 +42,12 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     stations[1]["mm"][0] += 500.0
     found = board.judged(stations)
     survey = board.survey(stations)
-    survey = survey.replace(is_visible=layout_visibility(board.site, survey).visible)
+    survey = survey.replace(is_visible=layout_visibility(board.site, survey).is_visible)
     assert survey.station_positions[1, 0] == pytest.approx(board.site.survey.station_positions[1, 0] + 0.5, abs=1e-4)
     information = LayoutInformation.from_survey(survey, board.construction)
     assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigmas)
     assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
-    assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.is_visible.tolist()
+    assert (np.array(found["reasons"]) == InvisibilityReason.VISIBLE).tolist() == survey.is_visible.tolist()
     assert found["shadow"] == pytest.approx(survey.station_positions[:, 2] * np.tan(np.radians(35)))
 
 
@@ -55,7 +55,7 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     board = Board.of(hall)
     stations = board.hall()["stations"]
     survey = board.survey(stations)
-    survey = survey.replace(is_visible=layout_visibility(board.site, survey).visible)
+    survey = survey.replace(is_visible=layout_visibility(board.site, survey).is_visible)
     lost = [check_tolerances(survey.without_station(s), board.demands, board.construction) for s in range(3)]
     said = board.verdict(stations)
     assert said is not None
