@@ -11,7 +11,7 @@ from from_code.pictures import Pictures
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.core.units import DEGREE, FACTOR, MICROMETRE
+from ltsim.core.units import DEGREE, MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, Effect, ShapeParameter, catalogue_entry
 from ltsim.reports.style import BLUE, INK, ORANGE, legend_of, new_figure, quiet_axis, styled, svg, svg_uri
 from ltsim.scene.sightings import Sightings
@@ -64,7 +64,7 @@ def _law(law: str) -> str:
 
 
 def _constant(shape: ShapeParameter) -> list[str]:
-    low, high = shape.lower_bound / FACTOR[shape.unit], shape.upper_bound / FACTOR[shape.unit]
+    low, high = shape.lower_bound / SI_PER_UNIT[shape.unit], shape.upper_bound / SI_PER_UNIT[shape.unit]
     return [f"`{shape.name}`", f"{low:.4g} to {high:.4g}", shape.unit, _text(shape.description)]
 
 

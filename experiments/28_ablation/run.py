@@ -46,7 +46,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     cards = CatalogueSignatures.of(space, catalogue_hypotheses(sightings, instruments))
     values, chance = cards.score(probe)
     own = np.append(bank.family_evidence(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
-    drawn = bank.family_evidence(probe.trials.astype(np.float64), space.redundancy)
+    drawn = bank.family_evidence(probe.trials, space.redundancy)
     share, families = log_share("named", len(cards.families)), cards.family_evidence(values)
     found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
              (NOISE, NOISE): [(float(log_sum_exp(own)), log_sum_exp(drawn))]}  # fmt: skip

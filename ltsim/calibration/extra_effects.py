@@ -21,7 +21,7 @@ from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.signature import CandidateEffect, Parameter, ShapeParameter, Signature
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
-from ltsim.physics.laws.words import PER_SETUP_SUFFIX, regressor_text
+from ltsim.physics.laws.words import law_suffix, regressor_text
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
@@ -134,8 +134,8 @@ def effect_display_name(effect: Signature, adjustment: Adjustment) -> str:
     """Name of an effect; for a law its text form."""
     if not isinstance(effect, EmpiricalLaw):
         return effect.name
-    suffix = PER_SETUP_SUFFIX if effect.is_per_setup else ""
-    return f"{effect.response.name} ~ {regressor_text(effect.regressor, clock=adjustment.recording.has_clock)}{suffix}"
+    driver = regressor_text(effect.regressor, clock=adjustment.recording.has_clock)
+    return f"{effect.response.name} ~ {driver}{law_suffix(effect)}"
 
 
 def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:

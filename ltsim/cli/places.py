@@ -98,7 +98,7 @@ def _is_replaceable(folder: Path, model: type[ResultFile], taken: list[str], sam
     try:
         result = read_result(folder, model)
         written = bool(result.files or result.recording) and same_verb(result)
-        return written and all(result.is_own_file(folder, name) for name in taken if name != model.FILE)
+        return written and all(result.is_ltsim_file(folder, name) for name in taken if name != model.FILE)
     except RecordError:
         return False
 

@@ -5,6 +5,11 @@ Together they keep the reading of any file of up to 32 MiB within 500 MB of memo
 is read; before it is adjusted it must be thinned (`ltsim convert --every`).
 """
 
+import os
+import re
+
+from ltsim.core.errors import ModelError
+
 MIB = 1024 * 1024
 
 FILE_BYTES = 32 * MIB
@@ -30,7 +35,9 @@ pictures 480 MB."""
 CALIBRATED_POINTINGS = 30_000
 """Pointings of a network that is calibrated: what else to measure is tried on networks up to three times as large."""
 DIAGNOSED_POINTINGS = 8_000
-"""Pointings of a network that is diagnosed, in half a minute: each meets the candidate causes, which takes 170 kB."""
+"""Pointings of a network that is diagnosed, in about a minute and 1.1 GB if there is a cause."""
+MAX_POINTINGS = "LTSIM_MAX_POINTINGS"
+"""Environment variable that raises the largest number of pointings of every command, for machines with more memory."""
 
 TOML_BYTES = 8 * MIB
 """Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
@@ -88,3 +95,14 @@ TRIANGLES = 200_000
 """Largest number of triangles in a CAD file, those of each instance counted; each takes 700 bytes while it is read, and
 1,500 in a hall where it may hide targets.
 """
+
+
+def max_pointings(limit: int) -> int:
+    """Largest number of pointings of a network: a limit of this module, or the environment variable if it is larger.
+
+    Raises ModelError where the variable is no whole number.
+    """
+    text = os.environ.get(MAX_POINTINGS, "").strip()
+    if text and not re.fullmatch("[0-9]{1,9}", text):
+        raise ModelError(f"the environment variable {MAX_POINTINGS} is {text!r}; expected a whole number of pointings")
+    return max(limit, int(text or 0))

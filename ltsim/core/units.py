@@ -1,6 +1,6 @@
 """Units of input and output; inside, every float is SI: metre, radian, second, kelvin difference.
 
-A parameter declares its unit of display; `FACTOR[unit]` is that unit in SI: ``displayed = value / FACTOR[unit]``.
+A parameter declares its display unit; ``displayed = value / SI_PER_UNIT[unit]``.
 """
 
 import functools

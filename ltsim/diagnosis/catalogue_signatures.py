@@ -5,7 +5,7 @@ All are scored with the same vectors and the same evidence as the empirical laws
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
-from ltsim.core.arrays import Floats, Ints, Singles
+from ltsim.core.arrays import Floats, Ints, Singles, stacked
 from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.null_ensemble import NullEnsemble, square
 from ltsim.physics.effects import BASELINE, CATALOGUE
@@ -26,6 +26,10 @@ from ltsim.scene.sightings import Sightings
 
 SPARSE = 0.15
 """Fraction of nonzeros below which a signature is stored as a sparse matrix (speed only)."""
+AT_ONCE, VECTORS = 2_000_000, 128
+"""Largest number of products of signatures and vectors in memory at a time, some tens of MB, and number of vectors that
+are weighted at a time.
+"""
 
 
 ORDINARY = {type(effect) for effect in BASELINE}
@@ -46,34 +50,44 @@ def catalogue_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) 
 class Group:
     """Group of effects with equal numbers k of parameters, all stored sparse, or all dense on their rows.
 
-    It has `members` (h,), indices `places` (r,) of the rows, scaled signatures as rows (h k, r), their Gram matrices
-    (h, k, k), and those of their projections, computed in the first pass.
+    It has `members` (h,), indices `places` (r,) of the rows, scaled signatures as rows (h k, r), the `weight` (r,) of
+    each row, Gram matrices (h, k, k) of the weighted signatures, and those of their projections, computed in the first
+    pass.
     """
 
     size: int
     members: Ints
     places: Ints | slice
     rows: Singles | sp.csr_array
+    weight: Singles
     raw_gram: Floats
     gram: Floats
 
-    def products(self, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of the signatures with vectors (m, v)."""
-        products = np.asarray(self.rows @ vectors[self.places].astype(np.float32, copy=False)).astype(np.float64)
-        return products.reshape(len(self.members), self.size, -1)
+    def parts(self, vectors: int) -> Iterator[slice]:
+        """Parts of the members whose products with a number of vectors are in memory at a time."""
+        step = max(1, AT_ONCE // (self.size * max(vectors, 1)))
+        yield from (slice(i, min(i + step, len(self.members))) for i in range(0, len(self.members), step))
+
+    def products(self, part: slice, vectors: Floats | Singles) -> Floats:
+        """Products (h, k, v) of some weighted signatures with vectors (m, v)."""
+        rows, count = self.rows[part.start * self.size : part.stop * self.size], vectors.shape[1]
+        products = np.empty((rows.shape[0], count))
+        for i in range(0, count, VECTORS):
+            few = slice(i, i + VECTORS)
+            products[:, few] = rows @ np.multiply(vectors[self.places, few], self.weight[:, None], dtype=np.float32)
+        return products.reshape(part.stop - part.start, self.size, count)
 
     def scaled(self, ratio: Singles) -> Group:
         """Group for rows of the space multiplied by a `ratio` (m,)."""
-        rows: Singles | sp.csr_array
+        weight = self.weight * ratio[self.places]
         if isinstance(self.rows, np.ndarray):
-            rows = self.rows * ratio[self.places]
-            products = square(rows.reshape(len(self.members), self.size, -1))
+            parts = (self.rows[p.start * self.size : p.stop * self.size] * weight for p in self.parts(len(weight)))
+            products = np.concatenate([square(rows.reshape(-1, self.size, len(weight))) for rows in parts])
         else:
-            data = self.rows.data * ratio[self.rows.indices]
-            rows = sp.csr_array((data, self.rows.indices, self.rows.indptr), self.rows.shape)
+            data = self.rows.data * weight[self.rows.indices]
             ends = self.rows.indptr[:: self.size].tolist()
             products = np.stack([square(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
-        return replace(self, rows=rows, raw_gram=products.astype(np.float64), gram=np.zeros_like(self.gram))
+        return replace(self, weight=weight, raw_gram=products.astype(np.float64), gram=np.zeros_like(self.gram))
 
 
 @dataclass(frozen=True)
@@ -98,27 +112,34 @@ class CatalogueSignatures:
     def of(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueSignatures:
         """Signatures of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
-        by_shape: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
+        sparse: dict[int, list[tuple[int, Ints, Singles]]] = {}
+        dense: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
         read = np.nonzero(space.used_readings)
         other = np.ones(space.n_rows - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
         pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.used_readings.shape, strict=True))
         for effect in effects:
             signature = space.whitened_signature(effect)
             places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
-            if len(places):
-                signature = signature[places]
-                signature *= effect.size_scales
-                effect, coarser = _scaled_to_noise(effect, signature, pointing[places])
-                rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
-                sparse = len(places) < SPARSE * space.n_rows
-                touched = () if sparse else tuple(np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0)
-                by_shape.setdefault((len(rows), touched), []).append((len(touching), places, rows))
-                touching.append(effect)
-        groups = [
-            _sparse(size, made, space.n_rows)
-            if not touched
-            else _dense(size, made, np.flatnonzero(np.array(touched)[kind]))
-            for (size, touched), made in sorted(by_shape.items(), key=lambda item: item[0])
+            if not len(places):
+                continue
+            touched = np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0
+            is_sparse = len(places) < SPARSE * space.n_rows
+            stored = places if is_sparse else np.flatnonzero(touched[kind])
+            signature = signature[stored]
+            signature *= effect.size_scales
+            effect, coarser = _scaled_to_noise(effect, signature, pointing[stored])
+            rows = np.ascontiguousarray(signature.T * coarser, dtype=np.float32)
+            if is_sparse:
+                sparse.setdefault(len(rows), []).append((len(touching), stored.astype(np.int32), rows))
+            else:
+                members, made = dense.setdefault((len(rows), tuple(touched.tolist())), ([], []))
+                members.append(len(touching))
+                made.append(rows)
+            touching.append(effect)
+        groups = [_sparse(size, sparse.pop(size), space.n_rows) for size in sorted(sparse)]
+        groups += [
+            _dense(size, members, stacked(made), np.flatnonzero(np.array(kinds)[kind]))
+            for (size, kinds), (members, made) in sorted(dense.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
@@ -139,18 +160,22 @@ class CatalogueSignatures:
         The model reduces the Gram matrix of a projected signature. A Monte-Carlo Gram matrix is not reduced, because
         the difference of an estimate and an exact value may vanish.
         """
-        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.trials.shape[1]))
+        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.count))
         for group in self.groups:
-            scores = group.products(probe.vectors)
-            if probe.is_first_pass:
-                group.gram[:] = probe.gram(scores, group.raw_gram)
-            score, trials, _ = probe.split(scores)
-            gram = group.gram if probe.gram_is_monte_carlo else group.gram - square(group.products(probe.model_basis))
-            strength, turn = np.linalg.eigh(gram)
-            strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
-            values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
-            if probe.trials.shape[1]:
-                chance[group.members] = simulated_evidence(turn @ trials, strength)
+            for part in group.parts(probe.vectors.shape[1]):
+                scores = group.products(part, probe.vectors)
+                if probe.is_first_pass:
+                    group.gram[part] = probe.gram(scores, group.raw_gram[part])
+                score, trials, _ = probe.split(scores)
+                gram = group.gram[part]
+                if not probe.gram_is_monte_carlo:
+                    gram = gram - square(group.products(part, probe.model_basis))
+                strength, turn = np.linalg.eigh(gram)
+                strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
+                members = group.members[part]
+                values[members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
+                if probe.count:
+                    chance[members] = simulated_evidence(turn @ trials, strength)
         return values, self.family_evidence(chance)
 
     def by_family(self) -> list[list[Effect]]:
@@ -179,27 +204,19 @@ def _scaled_to_noise(effect: CandidateEffect, signature: Floats, pointing: Ints)
     return replace(effect, coarse=coarser) if coarser > 1.0 else effect, coarser
 
 
-def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:
-    """Group of effects with equal numbers of parameters, dense on the rows `places` (r,)."""
-    dense = np.zeros((len(made), size, len(places)), dtype=np.float32)
-    for filled, (_, touched, rows) in zip(dense, made, strict=True):
-        filled[:, np.searchsorted(places, touched)] = rows
-    products = square(dense).astype(np.float64)
-    return Group(
-        size,
-        np.array([i for i, _, _ in made]),
-        places,
-        dense.reshape(-1, len(places)),
-        products,
-        np.zeros_like(products),
-    )
+def _dense(size: int, members: Sequence[int], rows: Singles, places: Ints) -> Group:
+    """Group of effects with equal numbers of parameters, from `rows` (h, size, r), dense on the rows `places` (r,)."""
+    products, weight = square(rows).astype(np.float64), np.ones(len(places), dtype=np.float32)
+    flat = rows.reshape(-1, len(places))
+    return Group(size, np.array(members), places, flat, weight, products, np.zeros_like(products))
 
 
 def _sparse(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> Group:
     """Group of effects with equal numbers of parameters, each on few of `length` rows."""
     products = np.stack([square(rows) for _, _, rows in made]).astype(np.float64)
     indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
-    ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))])
+    ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))]).astype(np.int32)
     data = np.concatenate([rows.ravel() for _, _, rows in made])
     rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
-    return Group(size, np.array([i for i, _, _ in made]), slice(None), rows, products, np.zeros_like(products))
+    weight, members = np.ones(length, dtype=np.float32), np.array([i for i, _, _ in made])
+    return Group(size, members, slice(None), rows, weight, products, np.zeros_like(products))

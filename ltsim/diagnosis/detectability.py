@@ -17,7 +17,7 @@ from ltsim.adjustment.remedies.next_measurement import best_explanation, rank_de
 from ltsim.adjustment.remedies.remedy import advice_sentence
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_NUMERICAL_REDUNDANCY
-from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.catalogue_signatures import CatalogueSignatures
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -27,6 +27,8 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 
+AT_ONCE = 1_000_000
+"""Largest number of entries of signatures in memory at a time, 8 MB; their projections take several times as much."""
 OUT_OF_REACH = 10.0
 """Multiple of a large but plausible size above which a detectable size counts as undetectable."""
 TIE = 1e-6
@@ -64,7 +66,7 @@ def _detectability(space: ResidualSpace, effects: Sequence[Effect]) -> EffectDet
     entries: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(select_places(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        step = max(1, MAX_TEMPORARY_ENTRIES // (space.n_rows * size))
+        step = max(1, AT_ONCE // (space.n_rows * size))
         for batch in (sample[i : i + step] for i in range(0, len(sample), step)):
             signatures = np.hstack([space.whitened_signature(effect) for effect in batch])
             edges = np.arange(0, signatures.shape[1] + 1, size)

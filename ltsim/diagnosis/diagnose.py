@@ -176,8 +176,9 @@ def _select_model(case: SelectionState, threshold: float, compared: Compared) ->
     noise estimated before a law absorbs the law; the same is true for constants.
     """
     noise = case.noises(case.empty)[0][0]
-    if noise >= case.searcher.lower_bound(threshold, noise).score:
-        _variance_only(case, threshold)
+    shifts = case.searcher.lower_bound(threshold, noise).score
+    if noise >= shifts:
+        _variance_only(case, threshold, max(shifts, case.searcher.rank(case.empty).total))
         model = _mean_and_variance(case, threshold)
     else:
         model = case.searcher.search(threshold, something=True)
@@ -188,13 +189,16 @@ def _select_model(case: SelectionState, threshold: float, compared: Compared) ->
     return _alternate_mean_and_variance(case, model, threshold)
 
 
-def _variance_only(case: SelectionState, threshold: float) -> None:
-    """Forward selection of changes of the noise; the first is always selected, since the global test has failed."""
+def _variance_only(case: SelectionState, threshold: float, shifts: float) -> None:
+    """Forward selection of changes of the noise; the first is always selected, since the global test has failed.
+
+    The log evidence of mean `shifts` counts among the alternatives to the first one.
+    """
     for further in range(MOST_ROUNDS):
         ranked = case.noises(case.empty)
         if further and ranked[0][0] < threshold:
             break
-        case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0)))
+        case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0 if further else shifts)))
         case.set_adjustment(case.estimate_variance_components(()))
 
 

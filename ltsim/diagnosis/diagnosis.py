@@ -31,6 +31,7 @@ from ltsim.diagnosis.schema import (
     Undetectable,
 )
 from ltsim.geometry.polar import wrap_angle
+from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.result_file import ResultFile
@@ -206,7 +207,10 @@ class Diagnosis(ResultFile):
 
     @property
     def coefficients(self) -> int:
-        """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings."""
-        return self.adjusted.problem.model.n_effect_parameters or sum(
-            len(finding.parameters) for finding in self.findings
-        )
+        """Number of estimated coefficients: of the effects that shift readings, otherwise of the findings.
+
+        The ratio of w components of a law counts as w - 1.
+        """
+        model = self.adjusted.problem.model
+        ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)
+        return model.n_effect_parameters + ratios or sum(len(finding.parameters) for finding in self.findings)

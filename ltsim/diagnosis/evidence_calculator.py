@@ -135,9 +135,10 @@ class EvidenceCalculator:
             name = effect.response.name
             if name not in carried:
                 carried[name] = self._moved(name)[rows.place]
+            moved = effect.along_direction(carried[name], self.space.sightings, rows.pointing)
             columns = effect.columns(self.space.sightings)[rows.pointing]
-            shape = len(signatures), carried[name].shape[1], columns.shape[1]
-            np.multiply(carried[name][:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
+            shape = len(signatures), moved.shape[1], columns.shape[1]
+            np.multiply(moved[:, :, None], columns[:, None, :], out=signatures[:, low:high].reshape(shape))
         return signatures, edges
 
     def _moved(self, name: str) -> Floats:

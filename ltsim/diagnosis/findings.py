@@ -30,7 +30,7 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.regressors import covariate_file_names
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.physics.laws.words import PER_SETUP_SUFFIX, covariate_value_text, region_text, regressor_text
+from ltsim.physics.laws.words import covariate_value_text, law_suffix, region_text, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -285,10 +285,8 @@ def noise_finding(
             names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
             most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
         if effect.covariate_band:
-            low, high = (
-                covariate_value_text(effect.covariates[0], value, clock=clock) for value in effect.covariate_band
-            )
-            most = f", from {low} to {high}"
+            ends = [covariate_value_text(effect.covariates[0], value, clock=clock) for value in effect.covariate_band]
+            most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
         if effect.region is not None:
             most = f", {region_text(effect.region)}"
             rows += [
@@ -357,7 +355,7 @@ def where_of(effect: CandidateEffect, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: EmpiricalLaw, driver: str) -> str:
     """Text of a law with its regressor in one line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
-    suffix = PER_SETUP_SUFFIX if law.is_per_setup else ""
+    suffix = law_suffix(law)
     return f"{what} differs{suffix}" if law.regressor.kind == "constant" else f"{what} follows {driver}{suffix}"
 
 

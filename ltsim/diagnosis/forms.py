@@ -3,32 +3,43 @@
 Screening scores a law by one form; the best few laws are evaluated here in all forms, without approximation.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
+from ltsim.diagnosis.directions import best_direction
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
-from ltsim.diagnosis.prior import FORMS, P_PER_SETUP, P_PIECEWISE, P_SWITCHED
+from ltsim.diagnosis.prior import (
+    FORMS,
+    P_FIXED_RATIO,
+    P_PER_SETUP,
+    P_PIECEWISE,
+    P_SINGLE_SET_UP,
+    P_SINGLE_SET_UP_OTHERS,
+    P_SWITCHED,
+)
+from ltsim.diagnosis.products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.schema import Curve
+from ltsim.diagnosis.switches import EARLY_STOP, number_of_waves, switched_forms
 from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.names import catalogue_name
-from ltsim.physics.laws.regressor_library import wave_regressors
-from ltsim.physics.laws.regressors import scalar_regressor
+from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIATES, Regressor
 from ltsim.scene.sightings import Sightings
 
-LEAST_SWITCHED = {True: 1, False: 2}
-"""Smallest number of switching times within set-ups of laws with and without a region of the hall; single steps without
-a region are effects of the catalogue.
-"""
-MOST_PIECES, EARLY_STOP = 10, 3
-"""Largest number of steps and ramps, and number of additional ones that are tried after the evidence has last
-increased.
-"""
+TILT = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
+"""Regressor of a group that moves and tilts as one."""
+ABSORBED_ELSEWHERE = 0.5
+"""Difference of log evidence up to which a law is equal to the one at one set-up: poses absorb it at all others."""
+MIN_READINGS_PER_COEFFICIENT = 2
+"""Smallest number of pointings per coefficient of a law at one set-up."""
+MOST_PIECES = 10
+"""Largest number of steps and ramps of a law."""
 
 
 def evaluate_forms(
@@ -40,20 +51,34 @@ def evaluate_forms(
     whole = log_prior + float(np.log(len(law.regressor.coefficient_sigmas)))
     tried = _in_pieces(exact, law, whole + float(np.log(P_PIECEWISE)), base) if pieces else []
     whole += float(np.log(1.0 - P_PIECEWISE)) if tried else 0.0
-    always, share = law.without_switch(), float(np.log(P_SWITCHED * _courses(law, sightings)))
-    switched = _switched(exact, always, whole + share, base) if pieces else []
+    always, share = law.without_switch(), float(np.log(P_SWITCHED * number_of_waves(law, sightings)))
+    switched = switched_forms(exact, always, whole + share, base) if pieces else []
     whole += float(np.log(1.0 - P_SWITCHED)) if switched else 0.0
     tried += switched
     each = law.per_setup(sightings)
     tried += _forms(exact, law, whole + (np.log(1.0 - P_PER_SETUP) if each else 0.0), base)
     tried += _forms(exact, each, whole + np.log(P_PER_SETUP), base) if each else []
     tried += _forms(exact, always, whole, base) if always != law else []
+    factors = (
+        [h for h in tried if isinstance(h.effect, EmpiricalLaw) and may_have_a_second_factor(h.effect)]
+        if pieces
+        else []
+    )
+    tried += product_forms(exact, factors[_best(factors)], base) if factors else []
+    tried = [form for hypothesis in tried for form in _with_ratio(exact, hypothesis, base)]
+    top = tried.pop(_best(tried))
+    tried += _places_of(exact, top, base)
     best = []
     for name in {h.name: None for h in tried}:
         same_name = [h for h in tried if h.name == name]
         total = float(log_sum_exp(np.array([h.value for h in same_name])))
-        best.append(replace(same_name[best_of(np.array([h.value for h in same_name]))], value=total))
+        best.append(replace(same_name[_best(same_name)], value=total))
     return best
+
+
+def _best(forms: Sequence[Hypothesis]) -> int:
+    """Index of the form with the largest evidence."""
+    return best_of(np.array([form.value for form in forms]))
 
 
 def _forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
@@ -71,6 +96,57 @@ def _forms(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Mod
         logs = evidence_with(gram, score[None], spreads)
         candidates.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
+
+
+def _with_ratio(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+    """Form of a law as it is and, if several components have several coefficients each, with a fixed ratio."""
+    law = form.effect
+    assert isinstance(law, EmpiricalLaw)
+    if law.components == 1 or law.regressor.n_columns == 1 or law.direction:
+        return [form]
+    gram, score = exact.moments([law], base)[0]
+    ratio, evidence, log_share = best_direction(gram, score, law.size_scales, law.components)
+    gain = evidence - float(evidence_with(gram, score, law.size_scales))
+    share, other = np.log(P_FIXED_RATIO) + log_share, np.log(1.0 - P_FIXED_RATIO)
+    return [
+        replace(form, log_prior=form.log_prior + other, value=form.value + other),
+        replace(
+            form,
+            effect=replace(law, direction=ratio),
+            log_prior=form.log_prior + share,
+            value=form.value + gain + share,
+        ),
+    ]
+
+
+def _places_of(exact: EvidenceCalculator, form: Hypothesis, base: Model) -> list[Hypothesis]:
+    """Form of a law, and its forms at one set-up alone; only the latter if the law changes nothing at the others."""
+    law, stations = form.effect, exact.space.sightings.station_names
+    assert isinstance(law, EmpiricalLaw)
+    if law.stations or law.instruments or len(stations) < 2:
+        return [form]
+    drivers = (
+        [law.regressor, CONSTANT_REGRESSOR, TILT] if law.targets and law.response.kind == "target" else [law.regressor]
+    )
+    drivers = [d for d in dict.fromkeys(drivers) if all(f.covariates != ("station",) for f in (d, *d.factors))]
+    laws = [
+        replace(law, stations=(name,), regressor=driver.centred_on(law.targets), scale_index=0, direction=())
+        for driver in drivers
+        for name in stations
+    ]
+    mask = [law.row_weights(exact.space.sightings).sum() for law in laws]
+    laws = [x for x, n in zip(laws, mask, strict=True) if n >= MIN_READINGS_PER_COEFFICIENT * len(x.parameters)]
+    share = P_SINGLE_SET_UP.get(law.response.kind, P_SINGLE_SET_UP_OTHERS)
+    prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
+    values = exact.evidence(laws, base)
+    made = [
+        Hypothesis(x, prior, float(value) + prior, catalogue_name(x)) for x, value in zip(laws, values, strict=True)
+    ]
+    confined = [other for hypothesis in made for other in _with_ratio(exact, hypothesis, base)]
+    evidence = form.value - form.log_prior
+    equal = [h for h in confined if abs(h.value - h.log_prior - evidence) < ABSORBED_ELSEWHERE]
+    same = [replace(h, log_prior=form.log_prior, value=h.value + form.log_prior - h.log_prior) for h in equal]
+    return same[:1] or [form, *confined]
 
 
 def _in_pieces(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
@@ -95,67 +171,6 @@ def _in_pieces(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base:
             best, taken = value, len(chosen)
     refined, value = exact.refine_locally([law.with_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
-    return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
-
-
-def _is_within_a_set_up(time: float, sightings: Sightings) -> bool:
-    """True if a set-up has pointings before and after a time; changes between set-ups are absorbed by their poses."""
-    stays = (sightings.time[sightings.station == station] for station in np.unique(sightings.station))
-    return any(stay.min() < time < stay.max() for stay in stays)
-
-
-def _courses(law: EmpiricalLaw, sightings: Sightings) -> int:
-    """Number of regressors that a switch may resemble, one for every rate of a wave, of which this is the best."""
-    return (
-        sum(wave.covariates == law.regressor.covariates for wave in wave_regressors(sightings))
-        if law.regressor.kind == "wave"
-        else 1
-    )
-
-
-def _switched(exact: EvidenceCalculator, law: EmpiricalLaw, prior: float, base: Model) -> list[Hypothesis]:
-    """Forms of a law that is switched on and off with a constant amount.
-
-    Intervals are toggled while the evidence increases.
-    """
-    sightings = exact.space.sightings
-    edges = law.candidate_switch_times(sightings)
-    if len(edges) < EARLY_STOP or len(law.targets) == 1:
-        return []
-    if law.depends_on_fixed_region:  # where it stands is refined before when
-        law = exact.refine_locally([law], base)[0][0]
-    ways, count = len(law.response.component_names), len(edges)
-    gram, score = exact.moments([law.with_pieces(edges)], base)[0]
-    after = sightings.time[:, None] > [edge.constant for edge in edges]
-    sizes = np.sqrt(after.mean(axis=0))  # columns of steps have an rms of one
-    squares = law.columns(sightings) ** 2 if law.depends_on_fixed_region else np.ones((len(after), 1))
-    beyond = (squares * after).mean(axis=0)
-    gram = gram.reshape(ways, count, ways, count) * np.outer(sizes, sizes)[:, None, :]
-    score = score.reshape(ways, count) * sizes
-    spans = -np.diff(np.concatenate([[1.0], beyond, [0.0]]))  # share of the squares before, between and after edges
-    first, last = np.triu_indices(count + 1, 1)
-    span = np.arange(count + 1)
-    intervals = (span > first[:, None]) & (span <= last[:, None])
-    spread = np.full((len(intervals), ways), law.response.plausible_size)
-    on, states, best, taken, price = intervals[0], [np.zeros(count + 1, dtype=bool)], -np.inf, 0, np.log(len(intervals))
-    while len(states) - 1 < min(taken + EARLY_STOP, MOST_PIECES):
-        tried = states[-1] ^ intervals
-        changes = np.diff(tried.astype(np.float64), axis=1) / np.sqrt(np.maximum(tried @ spans, 1e-12))[:, None]
-        grams = np.einsum("pi,aibj,pj->pab", changes, gram, changes, optimize=True)
-        values = evidence_with(grams, np.einsum("pi,ai->pa", changes, score), spread)
-        values[~tried.any(axis=1)] = -np.inf
-        states.append(tried[best_of(values)])
-        value = float(log_sum_exp(values) - (len(states) - 1) * price)
-        if value > best + TIE:
-            on, best, taken = states[-1], value, len(states) - 1
-    chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    if law.depends_on_fixed_region and on[0]:
-        chosen.insert(0, scalar_regressor("time", "step", -np.inf))
-    least = LEAST_SWITCHED[law.depends_on_fixed_region]
-    if sum(_is_within_a_set_up(edge.constant, sightings) for edge in chosen) < least:
-        return []
-    refined, value = exact.refine_locally([law.with_switch(chosen)], base)[0]
-    prior -= float(taken * price)
     return [Hypothesis(refined, prior, max(best + taken * price, value) + prior, catalogue_name(refined))]
 
 

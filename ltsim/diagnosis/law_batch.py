@@ -22,6 +22,7 @@ from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
 from ltsim.physics.laws.responses import Response
+from ltsim.scene.sightings import Sightings
 
 CHUNK = 1000
 """Number of pointings whose products are in memory at a time."""
@@ -29,6 +30,10 @@ PAIRS = 500_000
 """Number of products of columns in memory at a time, the size of a cache."""
 AT_ONCE = 10_000
 """Number of columns at places whose products with all vectors are in memory at a time, some tens of MB."""
+COLUMN_ENTRIES, SHARED_ENTRIES = 5_000_000, 16_000_000
+"""Number of entries of columns of regressors that are computed at a time, 20 MB, and number up to which the batches
+with the same regressors share them, 64 MB.
+"""
 MOST_HITS = 6
 """Largest number of hypotheses per place that are evaluated again."""
 
@@ -87,6 +92,41 @@ class RowPartition:
         return (self.members @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
 
 
+class RegressorColumns:
+    """Columns of some regressors of equal size at all pointings, computed when they are needed.
+
+    Those of several batches are shared: they stay in memory until they are released, or always if `cached`.
+    """
+
+    def __init__(self, drivers: Sequence[Regressor], sightings: Sightings, order: Ints, *, moving: bool) -> None:
+        self._drivers, self._sightings, self._order, self._moving = drivers, sightings, order, moving
+        self._whole: Singles | None = None
+        self.cached = False
+        self.entries = drivers[0].n_columns * len(sightings)  # of one regressor
+
+    def of(self, part: slice) -> Singles:
+        """Columns (n, d k) of some regressors, at the pointings in the order of the cells."""
+        if self.entries * len(self._drivers) > SHARED_ENTRIES:
+            return self._computed(self._drivers[part])
+        if self._whole is None:
+            self._whole = self._computed(self._drivers)
+        size = self._drivers[0].n_columns
+        return self._whole[:, part.start * size : part.stop * size]
+
+    def release(self) -> None:
+        """Removal of columns that are not cached."""
+        if not self.cached:
+            self._whole = None
+
+    def _computed(self, drivers: Sequence[Regressor]) -> Singles:
+        size = drivers[0].n_columns
+        columns = np.empty((len(self._sightings), len(drivers) * size), dtype=np.float32)
+        for i, driver in enumerate(drivers):
+            made = driver.columns(self._sightings, acts_on_targets=self._moving)
+            columns[:, i * size : (i + 1) * size] = made[self._order]
+        return columns
+
+
 @dataclass(frozen=True)
 class LawBatch:
     """Batch of laws: responses of one kind with c components, regressors with equal columns k and scales, P places.
@@ -95,8 +135,8 @@ class LawBatch:
     ----------
     weights : (n, 3, C, c) float32
         Whitened change of the readings by a plausible size of each component.
-    columns : (n, D k) float32
-        Pointings in the order of the cells.
+    columns : RegressorColumns
+        Columns of the regressors, shared by batches with the same regressors and cells.
     log_prior : (P,) float
         Of each hypothesis and scale at a place.
     """
@@ -106,7 +146,7 @@ class LawBatch:
     places: tuple[LawPlace, ...]
     cells: RowPartition
     weights: Singles
-    columns: Singles
+    columns: RegressorColumns
     log_prior: Floats
     _forms: dict[int, list[tuple[tuple[Floats, Floats], Singles]]] = field(default_factory=dict, repr=False)
 
@@ -120,8 +160,9 @@ class LawBatch:
 
     def score(self, probe: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Best hypotheses of every place, and log sums over all: of the recording, and of trials (trials,)."""
-        count = len(self.drivers)
-        step = max(1, AT_ONCE * count // (self.columns.shape[1] * self.weights[0, 0].size * len(self.places)))
+        count, size = len(self.drivers), self.drivers[0].n_columns
+        products = size * self.weights[0, 0].size * len(self.places)
+        step = max(1, min(AT_ONCE // products, COLUMN_ENTRIES // self.columns.entries))
         parts = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in parts], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in parts]))
@@ -139,13 +180,14 @@ class LawBatch:
         The model does not reduce the Gram matrix of a law here, which overstates it where both are correlated; the best
         laws are evaluated again without this approximation.
         """
-        scores = self._sums(probe, part)
+        columns = self.columns.of(part)
+        scores = self._sums(probe, columns)
         score, trials, _ = probe.split(scores)
-        null = np.full((1, probe.trials.shape[1]), -np.inf)
+        null = np.full((1, probe.count), -np.inf)
         if probe.is_first_pass:
-            turned = self._turned(probe.gram(scores, self._self_products(part)), part)
+            turned = self._turned(probe.gram(scores, self._self_products(columns)), part)
             self._forms[part.start] = [(size_weights_and_constants(strength), turn) for strength, turn in turned]
-            if probe.trials.shape[1]:
+            if probe.count:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
@@ -163,31 +205,25 @@ class LawBatch:
             turned.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
         return turned
 
-    def _columns(self, part: slice) -> Singles:
-        """Columns (n, d k) of some regressors."""
-        k = self.columns.shape[1] // len(self.drivers)
-        return self.columns[:, part.start * k : part.stop * k]
-
-    def _sums(self, probe: NullEnsemble, chosen: slice) -> Singles:
-        """Products (P, C, d, c k, v) of columns of some regressors with the ensemble's vectors at all places."""
+    def _sums(self, probe: NullEnsemble, columns: Singles) -> Singles:
+        """Products (P, C, d, c k, v) of columns (n, d k) of regressors with the ensemble's vectors at all places."""
         _, _, count, ways = self.weights.shape
-        columns, vectors = self._columns(chosen), probe.vectors.shape[1]
+        vectors, d = probe.vectors.shape[1], columns.shape[1] // self.drivers[0].n_columns
         sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
         for part, rows, cells in self.cells.parts(CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
-            moved = (np.swapaxes(weights, 1, 2) @ probe.pointings[rows]).reshape(len(rows), -1)
+            moved = (np.swapaxes(weights, 1, 2) @ probe.at(rows)).reshape(len(rows), -1)
             turned = columns[part].T
             for cell, at in cells:
                 sums[cell] += turned[:, at] @ moved[at]
-        d = chosen.stop - chosen.start
         shaped = self.cells.summed(sums).reshape(len(self.places), d, -1, count, ways, vectors)
         return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
 
-    def _self_products(self, chosen: slice) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the columns of each hypothesis."""
+    def _self_products(self, columns: Singles) -> Floats:
+        """Gram matrices (P, C, d, c k, c k) of the columns (n, d k) of each hypothesis."""
         _, _, count, ways = self.weights.shape
-        columns, d = self._columns(chosen), chosen.stop - chosen.start
-        k = columns.shape[1] // d
+        k = self.drivers[0].n_columns
+        d = columns.shape[1] // k
         sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
         for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
@@ -197,3 +233,15 @@ class LawBatch:
                 sums[cell] += turned[:, at] @ pairs[at]
         shaped = self.cells.summed(sums).reshape(len(self.places), count, ways, ways, d, k, k)
         return shaped.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(shaped), count, d, ways * k, ways * k)
+
+
+def scored(batches: Sequence[LawBatch], probe: NullEnsemble) -> list[tuple[list[ScreenedLaw], float, Floats]]:
+    """Scores of each batch, in their order; columns that several batches share are computed once."""
+    by_columns: dict[int, list[int]] = {}
+    for i, batch in enumerate(batches):
+        by_columns.setdefault(id(batch.columns), []).append(i)
+    scores = {}
+    for members in by_columns.values():
+        scores.update({i: batches[i].score(probe) for i in members})
+        batches[members[0]].columns.release()
+    return [scores[i] for i in range(len(batches))]

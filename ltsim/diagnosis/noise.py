@@ -10,8 +10,9 @@ averaged over a grid, a fine one for the best, so these hypotheses compete with 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,8 +20,9 @@ from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import log_means, restricted, shares
+from ltsim.diagnosis.noise_factors import NoiseFactors, Pattern
 from ltsim.diagnosis.noise_groups import (
     MUCH_WORSE,
     NOISY_GROUP_SHARE,
@@ -29,6 +31,7 @@ from ltsim.diagnosis.noise_groups import (
     NoiseByGroup,
 )
 from ltsim.diagnosis.noise_patterns import variance_functions
+from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import CATALOGUE
@@ -37,11 +40,14 @@ from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
 from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPEATS_PER_FACE, REPETITION_KINDS, VarianceFunction
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 
 COMPARED = 6
 """Number of families that are evaluated without approximation, the most probable first."""
+AT_ONCE = 1_500_000
+"""Largest number of entries of residuals that are evaluated at a time, some tens of MB."""
 LEAST_SHARE = 0.05
 """Smallest redundancy of a mean of repeats (its diagonal form may be negative)."""
 FINE = 48
@@ -88,8 +94,8 @@ class NoiseBank:
 
     Attributes
     ----------
-    gain, logs : (h, m + g) csr float32
-        1 - 1/s and log s of each row; of each mean for what repeats.
+    factors : NoiseFactors
+        Variance factors of the m rows, and of the g means for what repeats.
     means : (g, m) csr float
         Sums of repeats, in each face and then in both.
     amounts : tuple of Amounts
@@ -101,8 +107,7 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
-    gain: sp.csr_array
-    logs: sp.csr_array
+    factors: NoiseFactors
     means: sp.csr_array
     basis: Floats | None
     amounts: tuple[Amounts, ...]
@@ -116,47 +121,31 @@ class NoiseBank:
         """
         repeated = [repeat_means(space, faces) for faces in REPETITION_KINDS]
         means = sp.csr_array(sp.vstack(repeated))
-        used, variance = space.used_readings, space.sigma**2
-        parts: list[tuple[Ints, Floats]] = []
-        added: dict[VarianceFunction, Floats] = {}  # per unit of the size, of which the variance is linear
-        for h in hypotheses:
-            if isinstance(h.effect, VarianceFunction):
-                if h.effect not in added:
-                    unit = h.effect.variance(space.sightings, space.sigma, np.ones(1))
-                    added[h.effect] = (unit / variance)[used] - 1.0
-                factor = 1.0 + h.values[0] * added[h.effect]
-            else:
-                factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / variance)[used]
-            if faces := getattr(h.effect, "repetition", ""):
-                grown = [
-                    _variance_of_mean(m, factor if kind == faces else np.ones(0))
-                    for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
-                ]
-                factor = np.concatenate([np.ones(space.n_rows), *grown])
-            rows = np.flatnonzero(factor != 1.0)
-            parts.append((rows, factor[rows]))
-        ends = np.cumsum([0, *(len(rows) for rows, _ in parts)])
-        places, factors = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
-        gain, logs = (
-            sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.n_rows + means.shape[0]))
-            for values in (1.0 - 1.0 / factors, np.log(factors))
+        sizes = space.n_rows - int(space.used_readings.sum()), *(m.shape[0] for m in repeated)
+        other = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(sizes)]
+        factors = NoiseFactors.of(
+            _patterns(space, hypotheses, repeated), np.concatenate([np.nonzero(space.used_readings)[1], *other])
         )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projector.basis if isinstance(space.projector, BasisProjection) else None
-        amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space))
-        return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts, space)
+        amounts = (Level.of(space, quieter=quieter), *NoiseByGroup.all_of(space), *NoiseWindows.of(space))
+        return cls(list(hypotheses), names, family, factors, means, basis, amounts, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log likelihood ratio (h, trials) for whitened residuals (m, trials) with redundancy (m,)."""
         squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
         share = np.concatenate([redundancy, _share_of_means(self.means, redundancy)])
-        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - (self.logs @ share)[:, None])
-        return ratio
+        return self.factors.ratios(squares, share)
 
-    def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+    def family_evidence(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors, in its diagonal form; group hypotheses last."""
+        step = max(1, AT_ONCE // len(residual))
+        parts = (residual[:, i : i + step].astype(np.float64) for i in range(0, residual.shape[1], step))
+        return np.hstack([self._family_evidence(part, redundancy) for part in parts])
+
+    def _family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         patterns = self._by_family(self.log_likelihood_ratio(residual, redundancy))
         return np.vstack([patterns, *(self._of_amounts(amount, residual, redundancy) for amount in self.amounts)])
 
@@ -179,15 +168,15 @@ class NoiseBank:
     def exact(self, i: int, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis for residuals (m,) given a model basis (m, e)."""
         assert self.basis is not None
-        rows, logs = self.gain[[i]], self.logs[[i]]
-        weight, at, size = rows.data.astype(np.float64), rows.indices, len(residual)
+        at, logs = self.factors.row(i)
+        weight, size = -np.expm1(-logs), len(residual)
         estimated = np.hstack([self.basis, extension])
         inside = np.vstack([estimated[at[at < size]], self.means[at[at >= size] - size] @ estimated])
         values = np.concatenate([residual[at[at < size]], self.means[at[at >= size] - size] @ residual])
         normal = np.eye(inside.shape[1]) - inside.T @ (weight[:, None] * inside)
         turned = inside.T @ (weight * values)
         fit = float(weight @ values**2 + turned @ np.linalg.solve(normal, turned))
-        return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.data.sum(dtype=np.float64)))
+        return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.sum()))
 
     def _finely(self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a family with a fine grid of sizes of its best effect: each alone, or all together."""
@@ -218,8 +207,31 @@ class NoiseBank:
             entries.append((value, self.hypotheses[likeliest]))
         for entry in self.amounts:
             value = float(self._of_amounts(entry, residual[:, None], redundancy)[0])
-            entries.append((value, NoiseHypothesis(entry.name, entry.effect, (0.0,) * len(entry.effect.parameters))))
+            effect = entry.most_likely_effect(residual, redundancy)
+            entries.append((value, NoiseHypothesis(entry.name, effect, (0.0,) * len(effect.parameters))))
         return sorted(entries, key=lambda entry: -entry[0])
+
+
+def _patterns(
+    space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], repeated: Sequence[sp.csr_array]
+) -> Iterator[Pattern]:
+    """Added variances of the first rows, and sizes: of readings; of means too for what repeats.
+
+    A variance function is linear in its size, an effect of the catalogue has a pattern for each of its sizes.
+    """
+    used, variance = space.used_readings, space.sigma**2
+    for effect, same in groupby(hypotheses, key=lambda h: h.effect):
+        sizes = [h.values for h in same]
+        linear = isinstance(effect, VarianceFunction)
+        for values in [(1.0,)] if linear else sizes:
+            added = (effect.variance(space.sightings, space.sigma, np.array(values)) / variance)[used] - 1.0
+            if faces := getattr(effect, "repetition", ""):
+                grown = (
+                    _added_to_mean(m, added if kind == faces else np.zeros(0))
+                    for kind, m in zip(REPETITION_KINDS, repeated, strict=True)
+                )
+                added = np.concatenate([np.zeros(space.n_rows), *grown])
+            yield added, tuple(size for (size,) in sizes) if linear else (1.0,)
 
 
 def repeat_means(space: ResidualSpace, faces: str = REPEATS_PER_FACE) -> sp.csr_array:
@@ -244,10 +256,10 @@ def _share_of_means(means: sp.csr_array, share: Floats) -> Floats:
     return np.maximum(1.0 - lost, LEAST_SHARE)
 
 
-def _variance_of_mean(means: sp.csr_array, factor: Floats) -> Floats:
-    """Variance (g,) of means whose members share the variance in excess of the declared one: 1 + k v."""
-    padded = np.concatenate([factor, np.ones(means.shape[1] - len(factor))])
-    return 1.0 + np.maximum((means > 0).astype(np.float64) @ (padded - 1.0), 0.0)
+def _added_to_mean(means: sp.csr_array, added: Floats) -> Floats:
+    """Relative added variance (g,) of means whose members share that of the first rows: k v."""
+    padded = np.append(added, np.zeros(means.shape[1] - len(added)))
+    return np.maximum((means > 0).astype(np.float64) @ padded, 0.0)
 
 
 def reml_gain(
@@ -265,7 +277,7 @@ def reml_gain(
 
     def factors(values: Floats) -> Floats:
         factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
-        return factor if means is None else _variance_of_mean(means, factor)
+        return factor if means is None else 1.0 + _added_to_mean(means, factor - 1.0)
 
     parameter = np.argmax([factors(unit) != factors(0.0 * scale) for unit in np.diag(scale)], axis=0)
 

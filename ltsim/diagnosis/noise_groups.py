@@ -56,6 +56,11 @@ class Amounts:
         """Log evidence (trials,) for residuals (m, trials)."""
         raise NotImplementedError
 
+    def most_likely_effect(self, residual: Floats, redundancy: Floats) -> NoiseSignature:
+        """Effect whose sizes are estimated for residuals (m,) of a given redundancy."""
+        del residual, redundancy
+        return self.effect
+
 
 class Level(Amounts):
     """Noise level of the whole recording: common to all observables, or separate for any of them."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 
@@ -20,8 +20,6 @@ MOST_TARGETS = 60
 """Largest number of targets of a network in which single targets and clusters of targets are hypotheses."""
 MAX_BANDED = 2000
 """Largest number of pointings with which noise in bands of a covariate is a hypothesis (cost)."""
-TIME_SPANS = 12
-"""Number of parts of the work between whose ends the noise may be larger."""
 SECTORS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of directions in which the noise may be larger."""
 THRESHOLDS = (0.25, 0.5, 0.75)
@@ -49,8 +47,7 @@ def variance_functions(
         yield " and ".join(acts), pattern, GROWING
     if len(sightings) <= MAX_BANDED:
         for at, acts, (name, band) in product(places, SCATTERING, _bands(sightings)):
-            family = "time span" if name == "time" else "band"
-            yield family, replace(at, observables=acts, covariates=(name,), covariate_band=band), AT_TARGETS
+            yield "band", replace(at, observables=acts, covariates=(name,), covariate_band=band), AT_TARGETS
     names = sightings.target_names
     groups = (
         [(t,) for t in range(len(names))] + sorted(target_clusters(sightings)) if len(names) <= MOST_TARGETS else []
@@ -63,16 +60,11 @@ def variance_functions(
     for region, acts in product(
         candidate_regions(sightings, NOISY_REGIONS), (("distance",), OBSERVABLES[1:], OBSERVABLES)
     ):
-        yield "place", VarianceFunction(acts, covariates=tuple(region.axes), region=region), AT_TARGETS
+        yield "place", VarianceFunction(acts, covariates=tuple(region.bounded_axes), region=region), AT_TARGETS
 
 
 def _bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
     """Covariates, and two of their values between which the noise may be larger."""
-    time = sightings.quantities["time"]
-    edges = np.unique(np.quantile(time, np.linspace(0.0, 1.0, TIME_SPANS + 1)))
-    for low, high in combinations(edges.tolist(), 2):
-        if high - low < np.ptp(time):
-            yield "time", (low, high)
     for name, width in product(("azimuth", "bearing"), SECTORS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width

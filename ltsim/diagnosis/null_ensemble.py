@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats, Singles
+from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
@@ -27,6 +27,10 @@ MOST_UNKNOWNS = 500
 """Largest number of unknowns of a network whose Gram matrices use the basis (cost)."""
 
 
+AT_ONCE = 50
+"""Number of simulated residuals that are projected at a time."""
+
+
 @dataclass(frozen=True)
 class NullEnsemble:
     """Null ensemble: a residual space with the vectors whose products with signatures give scores and Gram matrices.
@@ -34,15 +38,13 @@ class NullEnsemble:
     Attributes
     ----------
     space : ResidualSpace
-    residual : (m,) float
-        Residual of the model.
+    vectors : (m, 1 + t + u) float32
+        Residual of the model; residuals of t simulated recordings, by which a search is judged; orthonormal basis of
+        the estimated parameters, or with `gram_is_monte_carlo` further simulated residuals.
+    count : int
+        Number t of simulated recordings; 0 where the search is not judged.
     model_basis : (m, e) float
         Orthonormal basis of the model.
-    trials : (m, t) float32
-        Residuals of simulated recordings, by which a search is judged; none where it is not.
-    basis : (m, u) float32
-        Orthonormal basis of the estimated parameters; with `gram_is_monte_carlo` simulated residuals instead, drawn
-        independently of the `trials`.
     is_first_pass : bool
         True while the model is empty.
     gram_is_monte_carlo : bool
@@ -50,10 +52,9 @@ class NullEnsemble:
     """
 
     space: ResidualSpace
-    residual: Floats
+    vectors: Singles
+    count: int
     model_basis: Floats
-    trials: Singles
-    basis: Singles
     is_first_pass: bool
     gram_is_monte_carlo: bool
 
@@ -61,39 +62,47 @@ class NullEnsemble:
     def of(cls, space: ResidualSpace, seed: int, trials: int) -> NullEnsemble:
         """Ensemble of a residual space, with `trials` simulated recordings."""
         projection = space.projector
-        sampled = not (isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS)
-        null = _simulated(space, stream(seed, "diagnose", "null"), trials)
-        basis = _simulated(space, stream(seed, "diagnose", "gauges"), GRAM_DRAWS) if sampled else None
-        if isinstance(projection, BasisProjection) and basis is None:
-            basis = projection.basis.astype(np.float32)
-        assert basis is not None
+        small = isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS
+        basis = projection.basis if isinstance(projection, BasisProjection) and small else None
+        others = GRAM_DRAWS if basis is None else basis.shape[1]
+        vectors = np.empty((space.n_rows, 1 + trials + others), dtype=np.float32)
+        vectors[:, 0] = space.residuals
+        _simulate(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + trials])
+        if basis is None:
+            _simulate(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + trials :])
+        else:
+            vectors[:, 1 + trials :] = basis
         nothing = np.zeros((space.n_rows, 0))
-        return cls(space, space.residuals, nothing, null, basis, is_first_pass=True, gram_is_monte_carlo=sampled)
+        return cls(space, vectors, trials, nothing, is_first_pass=True, gram_is_monte_carlo=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble given a model, with its residual (m,) and orthonormal basis (m, e).
 
         Gram matrices and null statistics are those of the first pass.
         """
-        none = self.trials[:, :0]
-        return replace(self, residual=residual, model_basis=model_basis, trials=none, basis=none, is_first_pass=False)
+        vectors = residual[:, None].astype(np.float32)
+        return replace(self, vectors=vectors, count=0, model_basis=model_basis, is_first_pass=False)
+
+    @property
+    def trials(self) -> Singles:
+        """Residuals (m, t) of simulated recordings."""
+        return self.vectors[:, 1 : 1 + self.count]
 
     @cached_property
-    def vectors(self) -> Singles:
-        """Vectors (m, v): residual, trials, basis."""
-        return np.hstack([part.astype(np.float32) for part in (self.residual[:, None], self.trials, self.basis)])
-
-    @cached_property
-    def pointings(self) -> Singles:
-        """Vectors (n, 3, v) by pointing; zero for readings that are not used."""
+    def _rows(self) -> Ints:
+        """Row (n, 3) of each reading; any row for readings that are not used, whose weight is zero."""
         use = self.space.used_readings
-        full = np.zeros((*use.shape, self.vectors.shape[1]), dtype=np.float32)
-        full[use] = self.vectors[: int(use.sum())]
-        return full
+        rows = np.zeros(use.shape, dtype=np.int64)
+        rows[use] = np.arange(int(use.sum()))
+        return rows
+
+    def at(self, pointings: Ints) -> Singles:
+        """Vectors (p, 3, v) at some pointings; only those of used readings are defined."""
+        return self.vectors[self._rows[pointings]]
 
     def split(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
         """Products (..., k, v) with all vectors, split into those with residual, trials and basis."""
-        edge = 1 + self.trials.shape[1]
+        edge = 1 + self.count
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
     def gram(self, scores: Floats | Singles, products: Floats) -> Floats:
@@ -107,13 +116,15 @@ class NullEnsemble:
             Products of the columns with each other.
         """
         squares = square(self.split(scores)[2])
-        return squares / self.basis.shape[1] if self.gram_is_monte_carlo else products - squares
+        return squares / (self.vectors.shape[1] - 1 - self.count) if self.gram_is_monte_carlo else products - squares
 
 
-def _simulated(space: ResidualSpace, rng: np.random.Generator, count: int) -> Singles:
-    """Residuals (m, count) of simulated recordings."""
-    white = rng.standard_normal((space.n_rows, count))
-    return (space.project(white) if count else white).astype(np.float32)
+def _simulate(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
+    """Computation of the residuals (m, count) of simulated recordings, in place."""
+    white = rng.standard_normal(residuals.shape)
+    for start in range(0, white.shape[1], AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        residuals[:, part] = space.project(white[:, part])
 
 
 def square(rows: Any) -> Any:

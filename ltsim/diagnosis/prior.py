@@ -46,7 +46,7 @@ KINDS = {
 """Prior probabilities of the kinds of responses: an unknown error affects mostly a reading alone, and if all targets
 seem to move it is the stands.
 """
-AT_TARGETS = {"reading": 0.2, "target": 0.8}
+AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
 """Prior probabilities of the kinds of responses for causes that act at some targets only: mostly the target itself,
 because the instrument does not depend on it.
 """
@@ -56,6 +56,12 @@ P_PIECEWISE, P_SWITCHED, P_PER_SETUP = 0.1, 0.1, 0.1
 """Prior probabilities of laws with a few steps and ramps, of functions of time that are switched on and off, and of
 laws that differ by set-up.
 """
+P_FIXED_RATIO = 0.5
+"""Prior probability that the components of a law have a fixed ratio."""
+P_SINGLE_SET_UP = {"stand": 0.5}
+"""Prior probability that a law acts at one set-up alone, by kind of response: stands differ, instruments do so less."""
+P_SINGLE_SET_UP_OTHERS = 0.1
+"""The same for all other kinds of responses."""
 LOG_ODDS_REPEATED = float(np.log(0.03))
 """Log odds of a second effect of a kind that rarely occurs twice (two windows, two unknown laws), relative to any other
 second effect.

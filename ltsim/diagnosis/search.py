@@ -25,7 +25,7 @@ from ltsim.diagnosis.evidence import SCREENED_TIE, TIE, best_of, posterior, rank
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.forms import evaluate_forms
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_odds_repeated
-from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw
+from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, scored
 from ltsim.diagnosis.null_ensemble import NullEnsemble
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate
@@ -139,8 +139,7 @@ class Searcher:
         families = self.cards.family_evidence(values) + self._log_family_prior
         hits: list[ScreenedLaw] = []
         statistic, null = log_sum_exp(families), log_sum_exp(chance + self._log_family_prior)
-        for panel in self.panels:
-            hits_here, law_total, law_chance = panel.score(probe)
+        for hits_here, law_total, law_chance in scored(self.panels, probe):
             hits += hits_here
             statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
         return Screen(values, families, hits, float(statistic), null)
@@ -220,20 +219,22 @@ class Searcher:
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _laws(self, hits: Sequence[ScreenedLaw], base: Model) -> list[Hypothesis]:
-        """Screened laws: the best ones, and the best of each kind evaluated without approximation in all forms.
+        """Screened laws: the best ones, and the best of each response and kind of regressor, in all forms.
 
         Screening is coarser for some kinds than for others: a refined region can have several times the evidence.
         """
-        entries, evaluated, kinds = [], set[tuple[object, ...]](), set[str]()
+        entries, evaluated = [], set[tuple[object, ...]]()
+        kinds = set[tuple[str, str, bool]]()
         hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
             place, driver = hit.place, hit.driver.centred_on(hit.place.targets)
             law = EmpiricalLaw(place.stations, place.targets, hit.carrier, driver, place.instruments)
             key = (hit.carrier.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
-            chosen = len(evaluated) < self._most or driver.kind not in kinds
+            kind = hit.carrier.name, driver.kind, len(place.targets) == 1
+            chosen = len(evaluated) < self._most or kind not in kinds
             if chosen and key not in evaluated and hit.value > _promising(hits[0].value):
                 evaluated.add(key)
-                kinds.add(driver.kind)
+                kinds.add(kind)
                 entries += evaluate_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
                 entries.append(Hypothesis(law, hit.log_prior, hit.value, catalogue_name(law)))

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Singles
 from ltsim.diagnosis.evidence import times_to_noise
-from ltsim.diagnosis.law_batch import LawBatch, RowPartition
+from ltsim.diagnosis.law_batch import LawBatch, RegressorColumns, RowPartition
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR
 from ltsim.physics.laws.places import (
@@ -32,6 +32,7 @@ from ltsim.physics.laws.regressor_library import (
     candidate_regressors,
     is_admissible,
     target_group_regressors,
+    visits,
     wave_regressors,
 )
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
@@ -59,6 +60,10 @@ SWINGS = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves of responses other than readings."""
 TOGETHER = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
 """Kinds of regressors for several observables together: products of curves would have too many coefficients."""
+MAX_CACHED = 25_000_000
+"""Largest number of entries of the columns of all regressors that stay in memory, 100 MB; computing them anew takes a
+sixth of the time of a scoring.
+"""
 Drivers = Mapping[str, Sequence[Regressor]]
 
 
@@ -97,7 +102,7 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], Drive
             instrument_places(s, space.adjustment.recording.instruments),
             {k: general[k] for k in AT_A_TIME},
         ),
-        ("target", targets, {"constant": general["constant"], "clock": general["clock"]}),
+        ("target", targets, {"constant": general["constant"], "clock": general["clock"], "amounts": visits(s, 2)}),
         ("group", groups, target_group_regressors(s) if groups else {}),
     ]
 
@@ -174,13 +179,19 @@ class _Maker:
             for group, prior in wanted
         )
         cells: dict[tuple[int, ...], RowPartition] = {}
+        stacked: dict[tuple[Response, ...], Singles] = {}
+        columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
         for (carriers, drivers), wanted in self._asked.items():
             places = tuple(place for group, _ in wanted for place in group)
             same = tuple(id(place) for place in places)
             if same not in cells:
                 cells[same] = RowPartition.of(places, len(self._s))
-            columns = [d.columns(self._s, acts_on_targets=carriers[0].kind == "target") for d in drivers]
+            if carriers not in stacked:
+                stacked[carriers] = np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32)
+            key = drivers, carriers[0].kind == "target", same
+            if key not in columns:
+                columns[key] = RegressorColumns(drivers, self._s, cells[same].order, moving=key[1])
             share = np.concatenate([np.full(len(group), prior / whole) for group, prior in wanted])
             batches.append(
                 LawBatch(
@@ -188,11 +199,14 @@ class _Maker:
                     drivers,
                     places,
                     cells[same],
-                    weights=np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32),
-                    columns=np.hstack(columns, dtype=np.float32)[cells[same].order],
-                    log_prior=np.log(PRIOR["law"] * share),
+                    stacked[carriers],
+                    columns[key],
+                    np.log(PRIOR["law"] * share),
                 )
             )
+        entries = sum(shared.entries * len(drivers) for (drivers, _, _), shared in columns.items())
+        for shared in columns.values():
+            shared.cached = entries <= MAX_CACHED
         return batches
 
 

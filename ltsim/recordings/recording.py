@@ -13,6 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option
+from ltsim.core.limits import MAX_POINTINGS, max_pointings
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -35,8 +36,7 @@ MODE_COLUMN = "distance_mode"
 """Label of the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
 """Label with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
-_DEFAULT_STATION = Station()
-_DEFAULT_TARGET = Target()
+_DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MIN_COS_ELEVATION = 1e-6
 MAX_COS_STEEP = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
@@ -281,6 +281,7 @@ class Recording(Result):
 
     def require_at_most(self, pointings: int, work: str) -> None:
         """Raise NetworkError, with the way to thin the recording, where it holds more than `work` takes."""
+        pointings = max_pointings(pointings)
         if len(self) <= pointings:
             return
         sights = np.unique(np.stack([self.station, self.target, self.face]), axis=1, return_counts=True)[1]
@@ -290,7 +291,10 @@ class Recording(Result):
             if count <= pointings:
                 advice = f"convert it with {option('every')} {every}, which leaves {count} of them"
                 break
-        raise NetworkError(f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}")
+        raise NetworkError(
+            f"the recording holds {len(self)} pointings; {work} takes at most {pointings}: {advice}; on a machine with "
+            f"more memory set the environment variable {MAX_POINTINGS} to {len(self)}"
+        )
 
     def with_readings(self, readings: Floats) -> Recording:
         """Copy of the recording with other readings (n, 3)."""

@@ -163,7 +163,7 @@ class ResultFile(Entry, Result):
         """Text of the JSON file."""
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
-    def is_own_file(self, folder: Path, name: str) -> bool:
+    def is_ltsim_file(self, folder: Path, name: str) -> bool:
         """True if a file in the result's folder was written together with the result; raises RecordError."""
         return self.files.get(name) == _digest(read_bytes(folder / name))
 
@@ -250,7 +250,7 @@ def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
     file = folder / name
     if not file.is_file():
         return None
-    if result.files and not result.is_own_file(folder, name):
+    if result.files and not result.is_ltsim_file(folder, name):
         raise RecordError(
             f"does not belong to {result.FILE} in the same folder, or was changed; run the command again",
             file=file,

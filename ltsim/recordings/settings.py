@@ -42,7 +42,7 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
-        raise RecordError(f"is not TOML: {_one_line(problem)}", file=path) from None
+        raise RecordError(f"is not TOML: {_single_line(problem)}", file=path) from None
     except RecursionError:
         raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
 
@@ -141,7 +141,7 @@ def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsT
         return validate_settings(read_toml(path, kind), model, kind, path)
 
 
-def _one_line(problem: Exception) -> str:
+def _single_line(problem: Exception) -> str:
     return quoted_text(" ".join(str(problem).split()), 160)
 
 

@@ -44,7 +44,7 @@ def space_of(recording):
 def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     recording = changed(workshop(2)[0], row, column, 15.0)
     space = space_of(recording)
-    at = np.flatnonzero(np.flatnonzero(space.use) == 3 * row + column)
+    at = np.flatnonzero(np.flatnonzero(space.used_readings) == 3 * row + column)
     redundancy = float(space.redundancy[at][0])
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
@@ -62,7 +62,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     change = diagnosis.modelled_change(recording)
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
     assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
-    assert told.evidence.chi2_drop == pytest.approx(float(space.residual[at][0]) ** 2 / redundancy, rel=0.01)
+    assert told.evidence.chi2_drop == pytest.approx(float(space.residuals[at][0]) ** 2 / redundancy, rel=0.01)
 
 
 @pytest.mark.parametrize(("sigmas", "is_error"), [(7.0, False), (40.0, True)])
@@ -132,18 +132,18 @@ def test_noise_that_differs_from_target_to_target_is_one_finding():
 def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     recording, _ = workshop(1)
     space = space_of(recording)
-    rows = int(space.use.sum())
+    rows = int(space.used_readings.sum())
     redundancy = space.redundancy
     rng = stream(8, "likeness")
-    law = rng.standard_normal(space.size)
+    law = rng.standard_normal(space.n_rows)
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
     weak, strong = (
-        log_bayes_factor_discrepancy(space, size * law, space.residual, redundancy) for size in (8.0, 400.0)
+        log_bayes_factor_discrepancy(space, size * law, space.residuals, redundancy) for size in (8.0, 400.0)
     )
     assert -1.0 < weak < 1.0  # as likely as the law itself
     assert strong < -4.0
-    wrong = space.residual + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.size - rows))
+    wrong = space.residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_rows - rows))
     assert log_bayes_factor_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
 
 

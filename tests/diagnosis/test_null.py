@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,7 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.model.construction import misalignment_construction
+from tests.diagnosis.ensembles import with_trials
 from tests.networks import network
 
 DRAWS, SEEDS = 300, 3
@@ -21,9 +20,9 @@ DRAWS, SEEDS = 300, 3
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
     white = stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
-    others = searcher.space.project(white).astype(np.float32)
+    others = searcher.space.project(white)
     rest = Searcher(searcher.space, seed, 1, cards=searcher.cards)
-    rest.probe = replace(searcher.probe, trials=others)
+    rest.probe = with_trials(searcher.probe, others)
     return rest._screened(rest.empty).null
 
 

@@ -28,11 +28,11 @@ def law(carrier: str, driver: Regressor) -> EmpiricalLaw:
 
 def test_the_drop_of_chi2_is_that_of_a_refit(space):
     wave = law("distance", Regressor("wave", ("azimuth",), constant=3.0))
-    signature = space.signature(wave)
+    signature = space.whitened_signature(wave)
     columns = orthonormal_columns(space.project(signature), np.linalg.norm(signature, axis=0))
     again = adjust(space.adjustment.recording, misalignment_construction(), effects=[wave])
     assert columns.shape[1] == 2
-    drop = float(((columns.T @ space.residual) ** 2).sum())
+    drop = float(((columns.T @ space.residuals) ** 2).sum())
     assert drop == pytest.approx(space.adjustment.chi2 - again.chi2, abs=1e-2)
 
 
@@ -41,8 +41,8 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
         law("elevation", scalar_regressor("time", "power")),
         law("elevation", scalar_regressor("distance", "power", 2.0)),
     )
-    extended = space.augmented(space.signature(first))
-    signature = space.signature(second)
+    extended = space.augmented(space.whitened_signature(first))
+    signature = space.whitened_signature(second)
     columns = orthonormal_columns(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
@@ -73,7 +73,7 @@ def test_held_out_error_is_one_where_the_model_holds(space):
 
 def test_folds_are_whole_pointings_and_all_of_them(space):
     groups = folds(space, 3)
-    assert sorted(np.concatenate(groups)) == list(range(int(space.use.sum())))
+    assert sorted(np.concatenate(groups)) == list(range(int(space.used_readings.sum())))
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
@@ -91,7 +91,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 
 @pytest.mark.long
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
-    wave = space.signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
-    hidden = replace(space, residual=space.residual + 8e-6 * space.project(wave))
+    wave = space.whitened_signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
+    hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
     error = held_out(hidden, 0, Searcher(hidden, 0), 2.0)
     assert error.after < 0.97 * error.before

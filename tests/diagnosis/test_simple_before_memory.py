@@ -15,3 +15,12 @@ def test_a_stand_that_was_touched_once_is_not_told_as_switched() -> None:
     changes = {"effects": [touched | {"values": {"shift-x": 150.0, "shift-y": -100.0}}]}
     findings = lt.diagnose(lt.simulate("paper-workshop", seed=3, changes=changes).recording).findings
     assert [(finding.effect, finding.where.stations) for finding in findings] == [("station-bump", ("S2",))]
+
+
+def test_a_ball_that_sits_off_at_one_target_is_not_told_as_a_band_of_a_coordinate() -> None:
+    """A switch of a coordinate that is on for one target alone changes what a displaced centre changes."""
+    constant = {"name": "range-offset", "targets": ["T05"], "values": {"range-offset": 1000.0}}
+    recording, _ = lt.simulate("paper-workshop", seed=3, changes={"effects": [constant]})
+    findings = lt.diagnose(recording).findings
+    assert [finding.where.targets for finding in findings] == [("T05",)]
+    assert findings[0].effect != "unknown"

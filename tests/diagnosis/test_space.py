@@ -84,9 +84,9 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     """Against the plain sum over all sizes of all members, each solved on its own."""
     effects = [find_effect("station-weather")(("S2",)), find_effect("backlash")()]
     members = [Hypothesis(e, -3.0, 0.0, e.name) for e in effects]
-    signatures = [space.signature(e) for e in effects]
+    signatures = [space.whitened_signature(e) for e in effects]
     left = [space.project(g) for g in signatures]
-    whole = space.residual + 9e-6 * left[0][:, 0]
+    whole = space.residuals + 9e-6 * left[0][:, 0]
     found = Model(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in signatures), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
@@ -105,7 +105,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
 
 def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
     _, found, scored = made
-    nothing = np.zeros((space.size, 0))
+    nothing = np.zeros((space.n_rows, 0))
     for (hits, _, _), panel in zip(scored, found, strict=True):
         for hit in (hits[0], hits[-1]):
             scales = range(len(hit.driver.coefficient_sigmas))
@@ -113,7 +113,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
                 EmpiricalLaw(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale_index=k)
                 for k in scales
             ]
-            logs = np.array([alone(space, law, space.residual, nothing) for law in laws])
+            logs = np.array([alone(space, law, space.residuals, nothing) for law in laws])
             exact = log_sum_exp(logs) + hit.log_prior
             assert hit.value == pytest.approx(float(exact), abs=0.02), (panel.carriers[0], hit)
 
@@ -121,11 +121,11 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     probe, found, _ = made
     law = EmpiricalLaw((), (), RESPONSES_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
-    left = space.project(space.signature(law))
+    left = space.project(space.whitened_signature(law))
     left /= np.linalg.norm(left)
-    residual = space.residual + 20.0 * left[:, 0]
+    residual = space.residuals + 20.0 * left[:, 0]
     gains = []
-    for extension in (np.zeros((space.size, 0)), left):
+    for extension in (np.zeros((space.n_rows, 0)), left):
         beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
         hits = [h for panel in found for h in panel.score(beside)[0] if not (h.place.stations or h.place.targets)]
         same = (h for h in hits if (h.carrier.name, h.driver) == (law.response.name, law.regressor))
@@ -142,15 +142,15 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     ]
     effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
     found = find_effect("range-drift")()
-    signature = space.signature(found)
+    signature = space.whitened_signature(found)
     left = space.project(signature)
     member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residual)
+    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
         np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
-    np.testing.assert_allclose(exact.signature(local[0]), space.signature(local[0]))
+    np.testing.assert_allclose(exact.whitened_signature(local[0]), space.whitened_signature(local[0]))
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
@@ -177,9 +177,9 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     """What is left of it beside the finding is a small difference of large numbers, one of them sampled."""
     steps = [step for step in find_effect("range-step").candidates(space.sightings) if step.stations == ("S2",)]
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
-    signature = space.signature(member.effect)
+    signature = space.whitened_signature(member.effect)
     left = space.project(signature)
-    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residual)
+    base = Model((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residuals)
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MOST_UNKNOWNS", most)
@@ -222,7 +222,7 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     law = EmpiricalLaw((), (), RESPONSES_BY_NAME["distance"][0], scalar_regressor("time", "power"))
-    left = space.project(space.signature(law))
+    left = space.project(space.whitened_signature(law))
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
     whole = 1e7 * left[:, 0]

@@ -16,7 +16,14 @@ import pytest
 
 import ltsim as lt
 from ltsim.core.errors import LtsimError, ModelError, NetworkError, RecordError
-from ltsim.core.limits import ADJUSTED_POINTINGS, CALIBRATED_POINTINGS, JSON_VALUES, TOML_KEYS, XML_TAGS
+from ltsim.core.limits import (
+    ADJUSTED_POINTINGS,
+    CALIBRATED_POINTINGS,
+    JSON_VALUES,
+    MAX_POINTINGS,
+    TOML_KEYS,
+    XML_TAGS,
+)
 from ltsim.recordings import read
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.files import read_lines
@@ -242,13 +249,28 @@ def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
 
 
 VERB = "import sys; from ltsim.cli.main import run; sys.exit(run(sys.argv[1:]))"
-LARGEST = {"adjust": ADJUSTED_POINTINGS, "check": ADJUSTED_POINTINGS, "calibrate": CALIBRATED_POINTINGS}
+LARGEST = {
+    "adjust": ADJUSTED_POINTINGS,
+    "check": ADJUSTED_POINTINGS,
+    "calibrate": CALIBRATED_POINTINGS,
+}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("verb", LARGEST)
 def test_largest_recording_of_a_verb_takes_500_mb_and_30_s(verb: str, tmp_path: Path) -> None:
     used = means(VERB, verb, str(noisy_monitoring(LARGEST[verb], tmp_path)))
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 30
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("effects", ["station-bump:S2 range-cyclic target-moved:T100", "turbulence"])
+def test_diagnosis_of_1500_pointings_with_several_causes_takes_500_mb_and_30_s(effects: str, tmp_path: Path) -> None:
+    recording, injected = str(noisy_monitoring(1_500, tmp_path)), str(tmp_path / "injected")
+    means(VERB, "inject", recording, *effects.split(), "--noncentrality", "400", "--out", injected)
+    used = means(VERB, "diagnose", injected, "--out", str(tmp_path / "out"))
+    assert lt.read(tmp_path / "out").verdict == "mismatch"
     assert used.ru_maxrss < 500 * 1024
     assert used.ru_utime + used.ru_stime < 30
 
@@ -309,6 +331,23 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     thinned = lt.convert(whole, tmp_path / "thinned", every=3)
     assert np.array_equal(thinned.readings, recording.readings)
     assert len(lt.adjust(thinned).target_names) == 28
+
+
+def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltsim.adjustment.estimate.ADJUSTED_POINTINGS", 100)
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    monkeypatch.setenv(MAX_POINTINGS, str(len(recording)))
+    assert len(lt.adjust(recording).target_names) == 28
+    monkeypatch.setenv(MAX_POINTINGS, str(len(recording) - 1))
+    with pytest.raises(NetworkError, match=f"at most 139: .* set the environment variable {MAX_POINTINGS} to 140"):
+        lt.adjust(recording)
+    monkeypatch.setenv(MAX_POINTINGS, "99")
+    with pytest.raises(NetworkError, match="at most 100"):
+        lt.adjust(recording)
+    for wrong in ("many", "-5", "1e5", "9" * 5000):
+        monkeypatch.setenv(MAX_POINTINGS, wrong)
+        with pytest.raises(ModelError, match=f"{MAX_POINTINGS} is .*; expected a whole number of pointings"):
+            lt.adjust(recording)
 
 
 def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> None:

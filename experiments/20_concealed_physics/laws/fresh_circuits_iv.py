@@ -5,7 +5,7 @@ from ..law import Change, Draw, Hall, law, np, reads, scatters, varies
 
 @law("distance", "incidence")
 def second_gain_stage_delays_weak_signals(h: Hall, rng: Draw) -> Change:
-    """A weak return, from afar or from a reflector hit askew, is amplified by a second stage, which delays it by a fixed time."""
+    """A weak return, from afar or hit askew, is amplified by a second stage, which delays it by a fixed time."""
     signal = np.clip(np.cos(h.incidence), 0.05, 1.0) ** rng.uniform(1.0, 2.0) / h.distance**2
     return reads(h, "distance", 1.0 * (signal < np.quantile(signal, rng.uniform(0.3, 0.6))))
 
@@ -18,20 +18,22 @@ def mains_beats_with_the_sampling_clock(h: Hall, rng: Draw) -> Change:
 
 @law("approach", may="time azimuth")
 def supply_sags_after_long_slews(h: Hall, rng: Draw) -> Change:
-    """The azimuth motor drains the common supply at each slew, and the phase meter's zero recovers only within a minute."""
+    """Each slew in azimuth drains the common supply, and the phase meter's zero recovers only within a minute."""
     return varies(h, "range-offset", h.fading(np.abs(h.swing), rng.uniform(20.0, 70.0)))
 
 
-@law("press_load_kn")
-def press_drive_unbalances_the_read_heads(h: Hall, rng: Draw) -> Change:
-    """The inverter of the press lowers the lamp current of two opposite read heads, and the circle reads an ellipse that grows with the load."""
-    phase = rng.uniform(-np.pi, np.pi)
-    return varies(h, "azimuth-second-order-cos", h.load * np.cos(phase)) + varies(h, "azimuth-second-order-sin", h.load * np.sin(phase))
+@law("time", may="elevation")
+def loose_contact_drops_one_read_head(h: Hall, rng: Draw) -> Change:
+    """A loose contact drops one of two opposite read heads at times, and the vertical circle reads off its centre."""
+    phase, breaks = rng.uniform(-np.pi, np.pi), np.sort(rng.uniform(0.0, h.time[-1], 2 * rng.integers(2, 6)))
+    dropped = np.searchsorted(breaks, h.time) % 2
+    across = varies(h, "elevation-eccentricity-cos", np.cos(phase) * dropped)
+    return across + varies(h, "elevation-eccentricity-sin", np.sin(phase) * dropped)
 
 
 @law("elevation", may="face")
 def a_bit_of_the_vertical_counter_leaks(h: Hall, rng: Draw) -> Change:
-    """One bit of the counter of the vertical circle leaks into the interpolator, so that a fixed amount is added wherever that bit is set."""
+    """A bit of the vertical counter leaks into the interpolator: a fixed amount is added wherever it is set."""
     raw, step = np.where(h.back > 0, np.pi - h.elevation, h.elevation), rng.uniform(0.12, 0.35)
     return reads(h, "elevation", np.mod(np.floor(raw / step), 2.0) * (1.0 - 2.0 * h.back))
 

@@ -5,7 +5,7 @@ from ..law import UP, Change, Draw, Hall, law, leans, level, np, reads, scatters
 
 @law("time", "place", may="azimuth elevation distance height")
 def steam_cloud_over_the_wash_bay(h: Hall, rng: Draw) -> Change:
-    """While parts are washed a cloud of steam hangs somewhere in the hall, and beams that cross it measure another air."""
+    """While parts are washed a cloud of steam hangs in the hall, and beams that cross it measure another air."""
     bay = rng.uniform(0.3, 0.7, 3) * h.size.room * [1.0, 1.0, 0.5]
     along = np.clip(((bay - h.stand) * (h.aim - h.stand)).sum(axis=1) / h.distance**2, 0.0, 1.0)
     miss = ((h.stand + along[:, None] * (h.aim - h.stand) - bay) ** 2).sum(axis=1)
@@ -29,20 +29,20 @@ def skylight_brightens_above_the_horizon(h: Hall, rng: Draw) -> Change:
 
 @law("time", "place", may="distance")
 def draught_curtain_at_the_gate(h: Hall, rng: Draw) -> Change:
-    """While the gate is open a curtain of draught lies across the hall, and angles scatter of beams that go through it."""
+    """While the gate is open a curtain of draught crosses the hall, and angles of beams through it scatter."""
     gate = rng.uniform(0.3, 0.7) * h.size.room[0]
     return scatters(h, "azimuth elevation", h.windows(rng) * ((h.stand[:, 0] - gate) * (h.aim[:, 0] - gate) < 0.0))
 
 
 @law("time")
 def squall_line_lifts_the_pressure(h: Hall, rng: Draw) -> Change:
-    """A squall passes during the work, and within minutes the pressure, which was typed in by hand before, is another one."""
+    """A squall passes, and within minutes the pressure, which was typed in by hand before, is another one."""
     moment = rng.choice(h.time)
     return varies(h, "range-scale", np.tanh((h.time - moment) / rng.uniform(100.0, 600.0)))
 
 
 @law("time")
 def compressor_blows_on_one_leg(h: Hall, rng: Draw) -> Change:
-    """At one station the compressor's exhaust blows on a leg of the stand while it runs, which leans and grows with a lag."""
+    """The compressor's exhaust blows on a leg of one stand while it runs, which leans and grows with a lag."""
     grown = h.one_station(rng) * h.lagging(h.windows(rng), rng.uniform(100.0, 500.0))
     return leans(h, grown, level(rng)) + shifts(h, rng.uniform(0.3, 0.8) * grown, UP)

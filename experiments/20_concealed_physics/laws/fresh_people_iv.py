@@ -11,7 +11,7 @@ def arms_tire_above_the_head(h: Hall, rng: Draw) -> Change:
 
 @law("time", "place|height")
 def a_colleague_seats_the_second_round(h: Hall, rng: Draw) -> Change:
-    """The second round at every station is seated by a colleague, who pushes the balls on the table against the other side of their nests."""
+    """A colleague seats every second round and pushes the table's balls against the other side of their nests."""
     if h.pointings.repeat.max() < 2:
         raise LookupError("one round only")
     return moves(h, h.group("table") * (h.pointings.repeat == 2), level(rng))
@@ -19,20 +19,20 @@ def a_colleague_seats_the_second_round(h: Hall, rng: Draw) -> Change:
 
 @law("elevation|height", may="place distance")
 def kneeling_on_the_foot_of_the_stand(h: Hall, rng: Draw) -> Change:
-    """At one station somebody kneels on the foot of the stand to follow the beam down, and tips and sinks it the lower the beam goes."""
+    """Somebody kneels on one stand's foot to follow the beam down; it tips and sinks the lower the beam goes."""
     down = h.one_station(rng) * np.clip(-h.elevation - rng.uniform(0.0, 0.15), 0.0, None)
     return leans(h, down, level(rng)) + shifts(h, rng.uniform(0.2, 0.6) * down, -UP)
 
 
 @law("time")
 def restless_start_of_each_set_up(h: Hall, rng: Draw) -> Change:
-    """Helpers still walk around the stand in the first pointings of each set-up, and the angles scatter until they have gone."""
+    """Helpers walk around the stand as each set-up begins, and the angles scatter until they have gone."""
     return scatters(h, "azimuth elevation", np.exp(-h.order / rng.uniform(4.0, 15.0)))
 
 
 @law("place|azimuth")
 def table_nests_swivel_about_a_wrong_pivot(h: Hall, rng: Draw) -> Change:
-    """The nests on the table are swivelled by hand to look at the tracker, and their pivot does not go through the ball."""
+    """The table's nests are swivelled by hand to look at the tracker, about a pivot that misses the ball."""
     away, turn = (h.stand - h.aim)[:, :2], rng.uniform(0.6, 2.5) * rng.choice([-1.0, 1.0])
     bearing = np.arctan2(away[:, 1], away[:, 0]) + turn
     return moves(h, h.group("table"), np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(h.n)]))
@@ -40,5 +40,5 @@ def table_nests_swivel_about_a_wrong_pivot(h: Hall, rng: Draw) -> Change:
 
 @law()
 def carried_by_the_yoke_to_one_station(h: Hall, rng: Draw) -> Change:
-    """On the way to one station the tracker was carried by its yoke, and its transit axis stays bent until it is eased on the next way."""
+    """Carried by its yoke to one station, the tracker keeps a bent transit axis until the next way eases it."""
     return varies(h, "transit-tilt", h.one_station(rng))

@@ -5,14 +5,14 @@ from ..law import UP, Change, Draw, Hall, law, level, moves, np
 
 @law("time", "place|height")
 def coolant_film_builds_up_in_floor_nests(h: Hall, rng: Draw) -> Change:
-    """Every round of visits drags a little coolant into the floor nests, whose film lifts the ball more each time until it is full."""
+    """Every round drags coolant into the floor nests, whose film lifts the ball more each time until it is full."""
     rounds = np.unique(2 * h.pointings.station + h.pointings.repeat, return_inverse=True)[1]
     return moves(h, h.group("floor") * (1.0 - np.exp(-rounds / rng.uniform(1.0, 4.0))), h.normal)
 
 
 @law("approach", may="place distance")
 def ball_is_warmed_by_the_hand_on_the_way(h: Hall, rng: Draw) -> Change:
-    """The one ball is warmed by the hand that carries it from nest to nest, and stands out the more the longer the way was."""
+    """The hand that carries the ball warms it, and it stands out the more the longer the way to the nest was."""
     way = np.sqrt((np.diff(h.aim, axis=0, prepend=h.aim[:1]) ** 2).sum(axis=1)) * (h.order > 0)
     return moves(h, 1.0 - np.exp(-way / rng.uniform(2.0, 6.0)), h.normal)
 
@@ -25,7 +25,7 @@ def hot_glue_of_the_wall_nests_creeps(h: Hall, rng: Draw) -> Change:
 
 @law("approach|time|face")
 def grease_is_squeezed_out_under_the_ball(h: Hall, rng: Draw) -> Change:
-    """A ball put on greased seats stands high and sinks while the grease is squeezed out, so that the first pointing after a change sees it highest."""
+    """A ball put on greased seats sinks while the grease is squeezed out; the first pointing sees it highest."""
     fresh = (np.diff(h.pointings.target, prepend=-1) != 0) | (h.order == 0)
     since = h.time - h.time[np.maximum.accumulate(np.where(fresh, np.arange(h.n), 0))]
     return moves(h, np.exp(-since / rng.uniform(8.0, 30.0)), h.normal)

@@ -18,11 +18,7 @@ from ltsim.scene.sightings import Sightings
 
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
-N_MODES_DEFAULT = 9
-"""Usual number of eigenfunctions of a smooth regressor."""
-N_MODES_FACTOR = 4
-"""Number of eigenfunctions of a smooth regressor that is a factor of a product."""
-N_MODES_FINE = 32
+N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE = 9, 4, 32
 """Number of eigenfunctions of a smooth regressor in the refinement. At the shortest of its length scales the last
 eigenfunction has a tenth to a third of the prior deviation of the first."""
 BASIS_HALF_WIDTH = 1.25
@@ -165,14 +161,20 @@ def first_order_lag(sightings: Sightings, covariate: str, time_constant: float) 
     """Columns (n, 2): a covariate after a first-order lag with a time constant [s], and how far it is behind."""
     x = sightings.quantities[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_PREFIXES) else x - x.mean()
+    slow = lagged(x, sightings, time_constant)
+    return np.hstack([scaled_to_unit_rms(slow[:, None]), scaled_to_unit_rms((x - slow)[:, None])])
+
+
+def lagged(x: Floats, sightings: Sightings, memory: float) -> Floats:
+    """Values (n,) of a quantity (n,) after a first-order lag with a time constant [s], at its first value before."""
     rows = sightings.measurement_order
-    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / time_constant)
+    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
     slow = np.empty_like(x)
     now = float(x[rows[0]])
     for row, value, gain in zip(rows.tolist(), x[rows].tolist(), share.tolist(), strict=True):
         now += gain * (value - now)
         slow[row] = now
-    return np.hstack([scaled_to_unit_rms(slow[:, None]), scaled_to_unit_rms((x - slow)[:, None])])
+    return slow
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:

@@ -5,24 +5,23 @@ Laws are tested, refitted and plotted like the effects of the catalogue.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.signature import CandidateEffect, Parameter
-from ltsim.physics.laws.columns import (
-    CIRCULAR_COVARIATES,
-    N_MODES_DEFAULT,
-    N_MODES_FACTOR,
-    N_MODES_FINE,
-    indicator_columns,
-)
+from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FACTOR, N_MODES_FINE, indicator_columns
 from ltsim.physics.laws.places import MIN_GROUP_TARGETS
-from ltsim.physics.laws.regressor_library import MAX_SEPARATE_SETUPS, WAVE_RATE_STEP, contains_several_targets
+from ltsim.physics.laws.regressor_library import (
+    LAG_TIME_CONSTANTS,
+    MAX_SEPARATE_SETUPS,
+    WAVE_RATE_STEP,
+    contains_several_targets,
+)
 from ltsim.physics.laws.regressors import (
     CLOCK_COVARIATES,
     CONSTANT_REGRESSOR,
@@ -33,6 +32,7 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
 )
 from ltsim.physics.laws.responses import RESPONSES_BY_NAME, Response
+from ltsim.physics.laws.short_regressors import short_regressors
 from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -45,55 +45,25 @@ MAX_PIECE_POSITIONS = 41
 """Largest number of values of a covariate at which steps and ramps are tried."""
 PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
 """Kinds of responses that may differ between set-ups in size."""
-ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Angles whose sines, cosines and tangents are tried."""
-MAX_SWITCH_TIMES = 60
-"""Largest number of times at which a switch is tried."""
+MAX_SWITCH_EDGES = 60
+"""Largest number of values of a covariate at which a switch is tried."""
 MAX_REFINED_PIECES = 4
-"""Largest number of steps and ramps that a refinement moves individually."""
+"""Largest number of steps and ramps of a law that a local search moves."""
 PIECE_MOVE_GAPS = 6
 """Number of gaps between covariate values by which a step or ramp moves in a refinement; also the smallest distance
 between two of them, since a few pointings do not determine a law."""
 MAGNITUDE_SEARCH_FUNCTIONS = (
-    "decay",
-    "fading",
-    "relaxing",
-    "saturated",
-    "lagging",
-    "hysteresis",
-    "saw",
-    "slack",
-    "within",
-    "stuck",
-    TIME_DECAY_FUNCTION,
-    POINTING_DECAY_FUNCTION,
+    *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
+    *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
 """Functions and kinds whose constant is first determined to within a factor."""
 LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
 """Moves of the thresholds of a latch, as fractions of the span of its covariate."""
-SAWTOOTH_PERIOD_FRACTIONS = np.array([1.0, 0.5, 0.25, 0.125])
-"""Periods of saw-tooth functions, as fractions of a covariate's span."""
-DECAY_CONSTANT_FRACTIONS = np.array([0.05, 0.15, 0.5])
-"""Constants of decays and saturations, as fractions of a covariate's span."""
 
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a response that depends on a regressor, optionally at some stations or targets only.
-
-    Attributes
-    ----------
-    stations, targets : tuple of str
-        Where it acts; empty for everywhere.
-    carrier : ResponseTerm
-    driver : Regressor
-    instruments : tuple of str
-        Named where the stations are those of one instrument.
-    scale : int
-        Which of the driver's sets of prior deviations holds.
-    each : bool
-        Every set-up has coefficients of its own.
-    """
+    """Empirical law: a response that depends on a regressor, optionally at some stations or targets only."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -109,6 +79,11 @@ class EmpiricalLaw(CandidateEffect):
     """Index of the length scale of a smooth regressor, or of the size scale of the response."""
     is_per_setup: bool = False
     """True if each set-up has separate coefficients."""
+    direction: tuple[float, ...] = ()
+    """Ratio of the components of the response, in each set-up of `is_per_setup`: unit vector (c,) or (c S,).
+
+    The components then share one set of coefficients; empty where each has its own.
+    """
 
     name = "unknown"
 
@@ -116,11 +91,16 @@ class EmpiricalLaw(CandidateEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Coefficients, one per component of the response, set-up and column of the regressor, with priors."""
         spread = self.regressor.coefficient_sigmas[self.scale_index] * self.response.plausible_size
-        spreads = np.tile(spread, len(self.response.component_names) * (len(self.stations) if self.is_per_setup else 1))
+        spreads = spread * np.sqrt(self.components) if self.direction else np.tile(spread, self.components)
         return tuple(
             Parameter(f"coefficient {i + 1}", self.response.display_unit, "coefficient", float(s))
             for i, s in enumerate(spreads)
         )
+
+    @property
+    def components(self) -> int:
+        """Number of components of the response, at all set-ups if they differ by set-up."""
+        return len(self.response.component_names) * (len(self.stations) if self.is_per_setup else 1)
 
     @property
     def observables(self) -> tuple[str, ...]:
@@ -134,18 +114,34 @@ class EmpiricalLaw(CandidateEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
-        moved = RESPONSES_BY_NAME[self.response.name][1](sightings)
+        moved = self.along_direction(RESPONSES_BY_NAME[self.response.name][1](sightings), sightings)
         design: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return design.reshape(len(sightings), 3, -1)
+
+    def along_direction(self, moved: Floats, sightings: Sightings, rows: Ints | None = None) -> Floats:
+        """Change (r, ..., 1) of readings along the law's direction from that by each component (r, ..., c).
+
+        The pointings of the readings are `rows` (r,), all in order if None; without a direction nothing is changed.
+        """
+        if not self.direction:
+            return moved
+        ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
+        if self.is_per_setup:
+            at = np.full(len(sightings.station_names), -1)
+            at[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
+            which = at[sightings.station if rows is None else sightings.station[rows]]
+            ratios = np.where(which[:, None] >= 0, ratios[which], 0.0)
+        along: Floats = np.einsum("r...c,rc->r...", moved, np.broadcast_to(ratios, (len(moved), ratios.shape[1])))
+        return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
         """Regressor columns (n, k) of each component of the response, zero at other places.
 
-        (n, S k) for separate set-ups.
+        (n, S k) for separate set-ups whose ratio is not fixed.
         """
         columns = self.regressor.columns(sightings, acts_on_targets=self.response.kind == "target")
         columns = columns * self.row_weights(sightings)[:, None]
-        if not self.is_per_setup:
+        if not self.is_per_setup or self.direction:
             return columns
         at = indicator_columns(sightings.station, [sightings.station_names.index(name) for name in self.stations])
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
@@ -174,11 +170,9 @@ class EmpiricalLaw(CandidateEffect):
     def centred_at(self, centre: tuple[float, ...]) -> EmpiricalLaw:
         """Copy of the law with another region."""
         region = self.regressor.hall_region
-        return (
-            self
-            if region is None
-            else replace(self, regressor=self.regressor.with_region(replace(region, centre=centre)))
-        )
+        if region is None:
+            return self
+        return replace(self, regressor=self.regressor.with_region(replace(region, centre=centre)))
 
     def neighbours(self, sightings: Sightings) -> list[EmpiricalLaw]:
         """Variants of the law with a frequency, step, constant or region slightly changed, for a local search."""
@@ -187,16 +181,15 @@ class EmpiricalLaw(CandidateEffect):
             step = 2 * np.pi * WAVE_RATE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, regressor=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if (driver.kind == "pieces" and len(driver.factors) <= MAX_REFINED_PIECES) or driver.kind == "switch":
-            return self._with_moved_pieces(sightings)
+        if self._movable_steps is not None:
+            return self._with_moved_pieces(sightings, self._movable_steps)
         if driver.hall_region is not None:
             near = any(f.kind == "near" for f in (driver, *driver.factors))
             moved = [r for r in driver.hall_region.neighbours() if not near or contains_several_targets(r, sightings)]
             return [replace(self, regressor=driver.with_region(region)) for region in moved]
         if driver.function in MAGNITUDE_SEARCH_FUNCTIONS or driver.kind in MAGNITUDE_SEARCH_FUNCTIONS:
-            return [
-                replace(self, regressor=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)
-            ]
+            sizes = [driver.constant * scale for scale in (0.6, 0.8, 1.25, 1.7)]
+            return [replace(self, regressor=replace(driver, constant=size)) for size in sizes]
         if driver.kind == "latch":
             return self._with_moved_thresholds(sightings)
         if driver.function == FIXED_COUNT_RESET_FUNCTION:
@@ -211,47 +204,58 @@ class EmpiricalLaw(CandidateEffect):
         moved += [replace(driver, latch_release=driver.latch_release + float(step)) for step in steps]
         return [replace(self, regressor=d) for d in moved if d.latch_release < d.constant]
 
-    def _with_moved_pieces(self, sightings: Sightings) -> list[EmpiricalLaw]:
+    @property
+    def _movable_steps(self) -> Regressor | None:
+        """Steps and ramps, or switch, whose edges a local search moves; with a region of the hall that is moved."""
+        several = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
+        few = [f for f in several if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
+        return few[0] if few and self.regressor.hall_region is None else None
+
+    def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
         """Laws with one step or ramp moved to another gap between the values of its covariate."""
-        factors = self.regressor.factors
-        x = np.unique(sightings.quantities[self.regressor.covariates[0]][self.row_weights(sightings) > 0])
-        gaps = np.searchsorted(x, [piece.constant for piece in factors])
+        x = np.unique(sightings.quantities[steps.covariates[0]][self.row_weights(sightings) > 0])
+        gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
-        for i, piece in enumerate(factors):
+        for i, piece in enumerate(steps.factors):
             for k in range(max(gaps[i] - PIECE_MOVE_GAPS, 1), min(gaps[i] + PIECE_MOVE_GAPS, len(x) - 1) + 1):
-                if np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVE_GAPS) >= PIECE_MOVE_GAPS:
+                if (
+                    np.isfinite(piece.constant)
+                    and np.abs(np.delete(gaps, i) - k).min(initial=PIECE_MOVE_GAPS) >= PIECE_MOVE_GAPS
+                ):
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
-                    laws.append(self._with_steps([*factors[:i], moved, *factors[i + 1 :]]))
-        return laws
+                    made = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
+                    laws.append(self._with_factor(steps, made))
+        return laws + [self._with_factor(steps, replace(steps, constant=time)) for time in _other_lags(steps)]
+
+    def _with_factor(self, old: Regressor, new: Regressor) -> EmpiricalLaw:
+        """Copy of the law with its regressor, or a factor of it, replaced."""
+        if self.regressor == old:
+            return replace(self, regressor=new)
+        factors = tuple(new if factor == old else factor for factor in self.regressor.factors)
+        return replace(self, regressor=replace(self.regressor, factors=factors))
 
     def candidate_formulas(self, sightings: Sightings) -> list[EmpiricalLaw]:
         """Short formulas that may replace a smooth law."""
         if self.regressor.kind == "smooth":
-            return [
-                replace(self, regressor=d, scale_index=0)
-                for d in _short_regressors(sightings, self.regressor.covariates[0])
-            ]
+            short = short_regressors(sightings, self.regressor.covariates[0])
+            return [replace(self, regressor=regressor, scale_index=0) for regressor in short]
         if self.regressor.function == "decay":
             return [replace(self, regressor=replace(self.regressor, function="relaxing"))]
         if self.regressor.kind != "product":
             return []
         options = [
-            list(_short_regressors(sightings, f.covariates[0], is_combined=True)) if f.kind == "smooth" else [f]
+            list(short_regressors(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
             for f in self.regressor.factors
         ]
-        return [
-            replace(self, regressor=Regressor("product", factors=factors), scale_index=0)
-            for factors in product(*options)
-        ]
+        products = [Regressor("product", factors=factors) for factors in product(*options)]
+        return [replace(self, regressor=regressor, scale_index=0) for regressor in products]
 
     def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
         """Forms that the law may have, by kind, each with its scales: the curve, short formulas, a finer curve."""
         driver, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if driver.kind == "smooth":
-            finer = smooth_regressor(
-                driver.covariates[0], N_MODES_FINE if driver.constant > N_MODES_FACTOR else N_MODES_DEFAULT
-            )
-            forms["fine"] = [replace(self, regressor=finer)]
+            n_modes = N_MODES_FINE if driver.constant > N_MODES_FACTOR else N_MODES_DEFAULT
+            forms["fine"] = [replace(self, regressor=smooth_regressor(driver.covariates[0], n_modes))]
         if MIN_GROUP_TARGETS <= len(self.targets) <= MAX_INDEPENDENT_TARGETS and self.response.kind == "target":
             forms["members"] = [replace(self, regressor=driver.per_target(self.targets), scale_index=0)]
         if driver.kind == "wave":
@@ -274,31 +278,47 @@ class EmpiricalLaw(CandidateEffect):
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def with_pieces(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with steps and ramps in place of its smooth regressor, or as factors of that of a region."""
+        """Copy of the law with steps and ramps in place of its smooth regressor."""
         made, driver = piecewise_regressor(steps), self.regressor
-        if driver.region is not None:
-            made = Regressor("product", factors=(driver, made))
-        elif driver.kind == "product":
+        if driver.kind == "product":
             made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
         return replace(self, regressor=made, scale_index=0)
 
-    def _with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        return self.with_switch(steps) if self.regressor.kind == "switch" else self.with_pieces(steps)
+    @property
+    def switched_factor(self) -> Regressor | None:
+        """Curve or wave that a switch of the same covariate may replace; None if there is none.
+
+        It is the regressor itself, or the factor of a product that depends on time.
+        """
+        if self.regressor.kind in ("smooth", "wave"):
+            return self.regressor
+        replaced = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
+        return next(replaced, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_times(self, sightings: Sightings) -> list[Regressor]:
-        """Times at which a switch may act, for a law that depends on time alone or on a region of the hall."""
-        follows_clock = self.regressor.covariates == ("time",) and self.regressor.kind in ("smooth", "wave")
-        if not follows_clock and not self.depends_on_fixed_region:
+        """Values of the covariate at which a switch may act; times for a law that depends on a region of the hall."""
+        replaced = self.switched_factor
+        if replaced is None and not self.depends_on_fixed_region:
             return []
-        x = np.unique(sightings.time[self.row_weights(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_TIMES).round().astype(int))]
-        return [scalar_regressor("time", "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
+        name = replaced.covariates[0] if replaced else "time"
+        x = np.unique(sightings.quantities[name][self.row_weights(sightings) > 0])
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
+        return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
+
+    def in_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
+        """Copy of the law with an amount of its own after each of several steps."""
+        return replace(self, regressor=self._gated(piecewise_regressor(steps)), scale_index=0)
 
     def with_switch(self, edges: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a switch as its regressor; that of a region is multiplied by the switch."""
-        gate = switch_regressor(edges)
-        driver = gate if not self.depends_on_fixed_region else Regressor("product", factors=(self.regressor, gate))
-        return replace(self, regressor=driver, scale_index=0)
+        """Copy of the law with a switch as its regressor, or as the first factor of it."""
+        return replace(self, regressor=self._gated(switch_regressor(edges)), scale_index=0)
+
+    def _gated(self, gate: Regressor) -> Regressor:
+        """Regressor with a gate in place of the factor that it replaces; that of a region is multiplied by it."""
+        if self.depends_on_fixed_region:
+            return Regressor("product", factors=(self.regressor, gate))
+        others = [f for f in self.regressor.factors if f != self.switched_factor]
+        return Regressor("product", factors=(gate, *others)) if others else gate
 
     def equivalent_index_law(self, sightings: Sightings) -> EmpiricalLaw:
         """Law of the vertical index that is equivalent to this law of the elevation; the law itself if there is none.
@@ -307,18 +327,15 @@ class EmpiricalLaw(CandidateEffect):
         """
         if self.response.name != "elevation":
             return self
-        index, driver = (
-            replace(RESPONSES_BY_NAME["vertical index"][0], plausible_size=self.response.plausible_size),
-            self.regressor,
-        )
+        index = replace(RESPONSES_BY_NAME["vertical index"][0], plausible_size=self.response.plausible_size)
+        driver = self.regressor
         names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
         single_face = not np.ptp(sightings.face)
         if single_face and names <= {*CLOCK_COVARIATES, *sightings.covariates}:
             return replace(self, response=index)
         face, *rest = driver.factors or (driver, CONSTANT_REGRESSOR)
-        return (
-            replace(self, response=index, regressor=rest[0]) if face == FACE_SIGN_REGRESSOR and len(rest) == 1 else self
-        )
+        is_index = face == FACE_SIGN_REGRESSOR and len(rest) == 1
+        return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
         """Law with separate coefficients for each set-up; None if that is not possible."""
@@ -337,6 +354,10 @@ class EmpiricalLaw(CandidateEffect):
         For components with different units the main direction is one of the components.
         """
         ways, k = len(self.response.component_names), self.regressor.n_columns
+        if self.direction:
+            ratios = np.array(self.direction)
+            mean = np.kron(ratios, mean).astype(np.float64)
+            covariance = np.kron(np.outer(ratios, ratios), covariance).astype(np.float64)
         shape = (ways, len(mean) // (ways * k), k)
         means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
         columns = self.regressor.columns(sightings)
@@ -344,7 +365,9 @@ class EmpiricalLaw(CandidateEffect):
             rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
             size = [float(np.sum((columns[r] @ means[:, i].T) ** 2)) for i, r in enumerate(rows)]
         top = int(np.argmax(size)) if self.is_per_setup else 0
-        law = replace(self, stations=(self.stations[top],), is_per_setup=False) if self.is_per_setup else self
+        law = self
+        if self.is_per_setup:
+            law = replace(self, stations=(self.stations[top],), is_per_setup=False, direction=())
         moved = columns[law.row_weights(sightings) > 0] @ means[:, top].T
         moved = moved - moved.mean(axis=0) if self.regressor.kind != "constant" else moved
         way = np.linalg.svd(moved, full_matrices=False)[2][0]
@@ -353,25 +376,8 @@ class EmpiricalLaw(CandidateEffect):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
-def _short_regressors(sightings: Sightings, covariate: str, *, is_combined: bool = False) -> Iterator[Regressor]:
-    """Short regressors in a covariate; fewer (`is_combined`) if several covariates are tried together."""
-    times = DECAY_CONSTANT_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))
-    circular = covariate in CIRCULAR_COVARIATES
-    if circular:
-        for order in range(1, 4 if is_combined else 7):
-            yield Regressor("wave", (covariate,), constant=float(order))
-    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and is_combined else [("power", (1.0, 2.0))]
-    if covariate in ANGULAR_COVARIATES and not (circular and is_combined):
-        tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
-    tried += [("decay", times)] if covariate == "lapse" else []
-    if not is_combined:
-        tried.append(("saw", SAWTOOTH_PERIOD_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))))
-        tried.append(("power", (3.0, -1.0) if covariate == "distance" else (3.0,)))
-        tried += [("decay", times)] if covariate in CLOCK_COVARIATES else []
-        tried += [("relaxing", times)] if covariate in (*CLOCK_COVARIATES, "lapse") else []
-        tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if covariate.startswith("move-") else []
-        tried += [("within", times), ("stuck", times)] if covariate.startswith("move-") else []
-        tried += [("slack", times)] if covariate.startswith(("move-", "wound-")) else []
-    for function, constants in tried:
-        for constant in constants:
-            yield scalar_regressor(covariate, function, float(constant))
+def _other_lags(steps: Regressor) -> list[float]:
+    """Time constants [s] of the lag of a switch in time, other than its own."""
+    if steps.kind != "switch" or steps.covariates != ("time",):
+        return []
+    return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(LAG_TIME_CONSTANTS)

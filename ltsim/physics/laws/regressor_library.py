@@ -79,6 +79,7 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
         *CLOCK_COVARIATES,
         "azimuth",
         "elevation",
+        *_CIRCLE_COVARIATES,
         "distance",
         "wound-azimuth",
         "work-azimuth",
@@ -99,11 +100,9 @@ MIN_EFFECTIVE_TARGETS = 2.5
 """Smallest effective number of targets near a position."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Shapes of the regions for nearness of targets."""
-TEMPORARY_REGION_SHAPES = ("xy", "x", "y")
+TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act for a part of the work."""
-TIME_PART_COUNTS = (2, 4)
-"""Numbers of equal parts of the measurement, in one of which a region may act."""
-MIN_DISTINCT_TIMES = 12
+TIME_PART_COUNTS, MIN_DISTINCT_TIMES = (2, 4), 12
 """Smallest number of distinct times with which a recording is divided into parts."""
 DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays, as fractions of a clock's span; every time constant in between is within a factor of two of
@@ -115,11 +114,7 @@ DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 """Limits of dead bands, as quantiles of the sizes of the moves."""
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that are tried: of detectors, instrument parts, stands, walls and floors."""
-MIN_SEPARATE_SETUPS = 3
-"""Smallest number of set-ups with separate values; for fewer, single set-ups are tried."""
-MAX_SEPARATE_SETUPS = 12
-"""Largest number of set-ups with separate values."""
-MAX_SEPARATE_TARGETS = 60
+MIN_SEPARATE_SETUPS, MAX_SEPARATE_SETUPS, MAX_SEPARATE_TARGETS = 3, 12, 60
 """Largest number of targets with separate values."""
 MAX_GROUP_STEP_TIMES = 12
 """Largest number of times at which a step of a group is tried; the best one is refined."""
@@ -127,9 +122,7 @@ WAVE_RATE_STEP = 0.6
 """Step between the rates tried for a wave, in cycles over the covariate's span, so that every rate
 is near a tried one.
 """
-MAX_WAVE_CYCLES = 60
-"""Largest number of cycles of a wave over a covariate's span."""
-MIN_POINTINGS_PER_CYCLE = 8
+MAX_WAVE_CYCLES, MIN_POINTINGS_PER_CYCLE = 60, 8
 """Smallest number of pointings per cycle of a wave."""
 MIN_COVARIATE_SPREAD = 1e-12
 """Spread [rad, m, s] of a quantity below which it counts as constant: elevations in a plane differ by 1e-31."""
@@ -188,7 +181,6 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
     s, columns = sightings, additional_columns(sightings)
     base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     before = _varying_covariates(s, (*MEMORY_COVARIATES, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
-    limited = _varying_covariates(s, (*RAW_READING_NAMES, *columns))
     turning = [n for n in base if n not in CLOCK_COVARIATES]  # a clock never turns back
     signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _seating_parity_differs(s)]
     return {
@@ -207,7 +199,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*_per_setup_regressors(s, MIN_SEPARATE_SETUPS + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*visits(s, MIN_SEPARATE_SETUPS + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -226,12 +218,15 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
         "passage for a time": list(temporary_region_regressors(s)),
         "lever for a time": list(temporary_region_regressors(s, LEVER_FUNCTION)),
         "near": [
-            nearness_regressor(r)
-            for r in candidate_regions(s, NEARNESS_REGION_SHAPES)
-            if contains_several_targets(r, s)
+            nearness_regressor(region)
+            for region in candidate_regions(s, NEARNESS_REGION_SHAPES)
+            if contains_several_targets(region, s)
         ],
         "state": [state_regressor(*made) for made in candidate_states(s, _varying_covariates(s, STATE_INPUTS))],
-        "latch": [latch_regressor(*made) for made in latch_thresholds(s, limited)],
+        "latch": [
+            latch_regressor(*made)
+            for made in latch_thresholds(s, _varying_covariates(s, (*RAW_READING_NAMES, *columns)))
+        ],
         "product": list(product_regressors(s)),
     }
 
@@ -281,13 +276,13 @@ def single_target_regressors(sightings: Sightings) -> list[Regressor]:
 
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors of a group of targets: joint motion, sudden or gradual, different at each set-up, or a tilt."""
-    local, each, steps = (
-        single_target_regressors(sightings),
-        _per_setup_regressors(sightings, 2),
-        _step_regressors(sightings),
-    )
+    local, each, steps = single_target_regressors(sightings), visits(sightings, 2), _step_regressors(sightings)
     return {
         "constant": [CONSTANT_REGRESSOR],
+        "sign": [scalar_regressor(name, "power") for name in _varying_covariates(sightings, _SIGN_COVARIATES[3:])],
+        "curve": [
+            smooth_regressor(name, N_MODES_FACTOR) for name in _varying_covariates(sightings, _NEST_COVARIATES[:1])
+        ],
         "clock": local,
         "step": steps,
         "amounts": each,
@@ -311,9 +306,10 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
     return abs(float(parity @ seating)) < len(parity)
 
 
-def _per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
+def visits(sightings: Sightings, least: int) -> list[Regressor]:
+    """Regressor with a separate amount for each set-up; none for fewer than `least`, and for many."""
     count = len(np.unique(sightings.station))
-    return [group_amounts_regressor("station", count)] if min_setups <= count <= MAX_SEPARATE_SETUPS else []
+    return [group_amounts_regressor("station", count)] if least <= count <= MAX_SEPARATE_SETUPS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:

@@ -20,6 +20,7 @@ from ltsim.physics.laws.columns import (
     group_means,
     has_natural_zero,
     indicator_columns,
+    lagged,
     linear_field_columns,
     scaled_to_unit_rms,
     smooth_curve_columns,
@@ -95,7 +96,7 @@ class Regressor:
         Of a simple driver.
     constant : float
         Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field; the number of amounts;
-        the time [s] of a lag.
+        the time [s] of a lag, also of a switch; 0 for a switch at once.
     factors : tuple of Regressor
         Of a product; the pieces.
     around : tuple of str
@@ -170,7 +171,8 @@ class Regressor:
             case "switch":
                 edges = [factor.constant for factor in self.factors]
                 on = np.searchsorted(edges, sightings.quantities[name]) % 2
-                return scaled_to_unit_rms(on.astype(np.float64)[:, None])
+                values = lagged(on.astype(np.float64), sightings, self.constant) if self.constant else on
+                return scaled_to_unit_rms(values.astype(np.float64)[:, None])
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._product_columns(sightings, acts_on_targets)

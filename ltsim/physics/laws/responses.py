@@ -25,13 +25,8 @@ from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-PLAUSIBLE_ANGLE_ERROR = 2 * ARCSECOND
-"""Plausible remaining angle error [rad] of a good instrument."""
-PLAUSIBLE_LENGTH_ERROR = 10 * MICROMETRE
-"""Plausible remaining length error [m] of a good instrument."""
-PLAUSIBLE_SCALE_ERROR = 2 * PPM
-"""Plausible remaining relative scale error of a good instrument."""
-PLAUSIBLE_MOTION = 30 * MICROMETRE
+PLAUSIBLE_ANGLE_ERROR, PLAUSIBLE_LENGTH_ERROR = 2 * ARCSECOND, 10 * MICROMETRE
+PLAUSIBLE_SCALE_ERROR, PLAUSIBLE_MOTION = 2 * PPM, 30 * MICROMETRE
 """Plausible motion [m] of walls and floors."""
 
 
@@ -157,6 +152,9 @@ _AIR_GRADIENT = Response("air gradient", "K/m", 1.0, (), "air")
 _REFLECTOR_VERTEX = Response(
     "vertex of the reflectors", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector", ("axially", "sideways", "up")
 )
+_LEVEL = Response(
+    "level displacement of reflectors towards the instrument", "um", PLAUSIBLE_LENGTH_ERROR, (), "reflector"
+)
 
 
 def _reading_design(sightings: Sightings, observable: str) -> Floats:
@@ -188,6 +186,15 @@ def _vertex_design(sightings: Sightings) -> Floats:
     return design_from_displacements(sightings, reflector_axes(sightings))
 
 
+def _towards_instrument(sightings: Sightings) -> Floats:
+    """Change of the readings per unit of a horizontal motion of the reflectors towards the instrument."""
+    way = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
+    level = way * [1.0, 1.0, 0.0]
+    return design_from_displacements(
+        sightings, (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None])[:, :, None]
+    )
+
+
 ResponseDesign = Callable[[Sightings], Floats]
 """Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a response."""
 
@@ -205,6 +212,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesign]]:
         (_AIR_GRADIENT, AirGradient().design),
         (_TARGET_HEIGHT, _nest_normal_design),
         (_REFLECTOR_VERTEX, _vertex_design),
+        (_LEVEL, _towards_instrument),
     ]
     return {response.name: (response, derivative) for response, derivative in derivatives}
 

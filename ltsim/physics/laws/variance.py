@@ -44,7 +44,9 @@ class VarianceFunction(NoiseSignature):
     `group_names` (targets, stations or readings) has a separate value, and with `per_observable` one for each
     observable. For a
     `region` of the hall the pattern is the length of the line of sight in it. With a `covariate_band` the pattern is 1
-    from its first to its second value of the covariate, round the circle for directions, and 0 elsewhere.
+    from its first to its second value of the covariate, round the circle for directions, from its third to its fourth
+    and so
+    on, and 0 elsewhere.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -105,7 +107,8 @@ class VarianceFunction(NoiseSignature):
         if not self.covariates:
             return "larger noise"
         if self.covariate_band:
-            return f"larger noise in a band of {self.covariates[0]}"
+            several = "bands" if len(self.covariate_band) > 2 else "a band"
+            return f"larger noise in {several} of {self.covariates[0]}"
         return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
@@ -132,11 +135,15 @@ class VarianceFunction(NoiseSignature):
 
     def in_band(self, sightings: Sightings) -> Bools:
         """Pointings (n,) within the band of the covariate."""
-        (low, high), name = self.covariate_band, self.covariates[0]
+        name = self.covariates[0]
         x = noise_covariate(sightings, name)
-        if name in CIRCULAR_COVARIATES:
-            return np.asarray(np.remainder(x - low, 2.0 * np.pi) <= high - low)
-        return np.asarray((x >= low) & (x <= high))
+        inside = np.zeros(len(x), dtype=bool)
+        for low, high in zip(self.covariate_band[::2], self.covariate_band[1::2], strict=True):
+            if name in CIRCULAR_COVARIATES:
+                inside |= np.remainder(x - low, 2.0 * np.pi) <= high - low
+            else:
+                inside |= (x >= low) & (x <= high)
+        return inside
 
     def _variance_plus_fraction(self, sigma: Floats, added: Floats) -> Floats:
         """Variance (n, 3) with an added fraction (n,) in its observables."""

@@ -103,10 +103,13 @@ MIN_DISPLAYED = {"min": 2.0, "m": 1.0}
 """Smallest displayed value of a unit that has a smaller one: 90 s, but 2 min; 400 mm, but 1 m."""
 PER_SETUP_SUFFIX = ", in its own way at each set-up"
 """Suffix of the regressor of a law with separate coefficients for each set-up."""
+RATIO = ", components in the ratio {values}"
+"""Suffix of the regressor of a law whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", another at each instrument"
 """Suffix of a product whose other factor is separate for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
+SWITCH_LAG = ", followed with a lag of {value}"
 START_TEXT = "the start"
 """Text form of the start of a span that began before the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
@@ -171,7 +174,18 @@ def _switch_text(regressor: Regressor, *, clock: bool) -> str:
     if regressor.factors[0].constant == -np.inf:
         values[0] = START_TEXT
     spans = [f"{on} to {off}" for on, off in zip(values[::2], [*values[1::2], "the end"], strict=False)]
-    return SWITCH_TEMPLATE.format(x=name, spans=", ".join(spans))
+    lag = (
+        SWITCH_LAG.format(value=covariate_value_text("time", regressor.constant, clock=clock))
+        if regressor.constant
+        else ""
+    )
+    return SWITCH_TEMPLATE.format(x=name, spans=", ".join(spans)) + lag
+
+
+def law_suffix(law: EmpiricalLaw) -> str:
+    """Text after the regressor of a law: separate coefficients for each set-up, ratio of the components."""
+    ratio = RATIO.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
+    return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
 
 
 def region_text(region: HallRegion) -> str:
@@ -206,8 +220,10 @@ _REGION_PATTERN = re.compile(
     rf"at (?P<at>.+), width (?P<width>{_NUMBER_PATTERN}) m"
 )
 _COORDINATE_PATTERN = re.compile(rf"([xyz]) ({_NUMBER_PATTERN}) m")
+_RATIO = re.compile(rf"(?P<words>.+){RATIO.format(values=f'(?P<values>{_NUMBER_PATTERN}(?: / {_NUMBER_PATTERN})*)')}")
 _LATCH_PATTERN = re.compile(r"a latch of (?P<x>.+), set above (?P<above>.+), released below (?P<below>.+)")
-_SWITCH_PATTERN = re.compile(r"a switch of (?P<x>.+), on from (?P<spans>.+)")
+_LAG = SWITCH_LAG.format(value=rf"(?P<value>{_NUMBER_PATTERN}) (?P<unit>[a-z]+)")
+_SWITCH_PATTERN = re.compile(rf"a switch of (?P<x>.+), on from (?P<spans>.+?)(?:{_LAG})?")
 _STEP_SEPARATOR = re.compile(r", (?=step\(|ramp\()")
 
 
@@ -219,9 +235,15 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from its response and the text form of its regressor, as of `regressor_text`; raises ModelError."""
+    """Law from its response and the text form of its regressor (see `regressor_text`), at some places.
+
+    Raises ModelError.
+    """
     if response_name not in RESPONSES_BY_NAME:
         raise ModelError(f"there is no response called '{response_name}'; responses are {', '.join(RESPONSES_BY_NAME)}")
+    ratio = _RATIO.fullmatch(regressor_text)
+    direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
+    regressor_text = ratio["words"] if ratio else regressor_text
     driver, each = (
         parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording),
         regressor_text.endswith(PER_SETUP_SUFFIX),
@@ -242,17 +264,25 @@ def parse_law(
             for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
-    return EmpiricalLaw(
+    law = EmpiricalLaw(
         recording.stations if each else stations,
         targets,
         RESPONSES_BY_NAME[response_name][0],
         driver,
         is_per_setup=each,
     )
+    if direction and len(direction) != law.components:
+        raise ModelError(
+            f"'{regressor_text}': expected a ratio of {law.components} components, not of {len(direction)}"
+        )
+    return replace(law, direction=direction)
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, as of `text`; `n_modes` is for a smooth one. Raises ModelError."""
+    """Regressor from its text form, the inverse of `regressor_text`; `n_modes` applies to a smooth one.
+
+    Raises ModelError.
+    """
     factors, steps = text.split(FACTOR_SEPARATORS["product"]), _STEP_SEPARATOR.split(text)
     if text.endswith(PER_INSTRUMENT_SUFFIX):
         by_instrument = group_amounts_regressor("instrument", len(recording.instruments))
@@ -307,28 +337,32 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{text}' is not a regressor of this recording; expected words such as {'; '.join(TEXT_FORM_EXAMPLES)}; "
-        f"with one of {', '.join(covariates)}"
+        f"'{text}' is not a regressor of this recording; expected words such as "
+        f"{'; '.join(TEXT_FORM_EXAMPLES)}; with one of "
+        f"{', '.join(covariates)}"
     )
 
 
 def _parse_switch(words: str, match: re.Match[str], recording: Recording) -> Regressor:
     """Switch from its text form; raises ModelError."""
-    name, edges = match["x"], list[Regressor]()
+    name, edges, lag = match["x"], list[Regressor](), 0.0
+    is_covariate = name in {*READING_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
     for text in ends[:-1] if ends[-1] == "the end" else ends:
         if text == START_TEXT and not edges:
             edges.append(scalar_regressor(name, "step", -np.inf))
             continue
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
-        if value is None or name not in CLOCK_COVARIATES:
+        if value is None or not is_covariate:
             raise ModelError(f"'{words}': expected words such as '{TEXT_FORM_EXAMPLES[-1]}'")
         edges.append(
             scalar_regressor(name, "step", _parse_constant(words, name, value.groupdict(), recording.has_clock))
         )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
         raise ModelError(f"'{words}': expected times that increase")
-    return switch_regressor(edges)
+    if match["value"]:
+        lag = _parse_constant(words, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
+    return replace(switch_regressor(edges), constant=lag)
 
 
 def _parse_latch(words: str, match: re.Match[str], recording: Recording) -> Regressor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects import BASELINE, CATALOGUE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import misalignment_construction
+from tests.diagnosis.ensembles import with_trials
 from tests.networks import drawn, network
 
 
@@ -65,7 +65,7 @@ class Search:
             patch.setattr(
                 NullEnsemble,
                 "of",
-                staticmethod(lambda *given, **how: replace(usual(*given, **how), trials=residual.astype(np.float32))),
+                staticmethod(lambda *given, **how: with_trials(usual(*given, **how), residual)),
             )
             scored = Searcher(self.space, 0).first.null
         statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)

@@ -192,7 +192,7 @@ def test_targets_on_one_surface_belong_together():
     rng = stream(5, "places")
     points = rng.uniform(0.0, 10.0, (12, 3))
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
-    found = target_clusters(SimpleNamespace(points=points, nest_normal=look))
+    found = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))
     assert {tuple(range(6)), tuple(range(6, 12))} <= found
     assert all(MIN_GROUP_TARGETS <= len(group) <= 12 - MIN_GROUP_TARGETS for group in found)
 

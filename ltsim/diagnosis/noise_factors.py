@@ -1,0 +1,155 @@
+"""Variance factors of noise hypotheses, and their log likelihood ratios in the diagonal form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.core.arrays import Floats, Ints, Singles, stacked
+
+DENSE = 0.5
+"""Fraction of nonzeros on the rows of its kinds from which a pattern is stored as a dense row (memory)."""
+AT_ONCE = 2_000_000
+"""Largest number of variance factors that are computed at a time, some tens of MB."""
+
+
+@dataclass(frozen=True)
+class PatternGroup:
+    """Patterns of added variance, dense on common rows or sparse on all rows, and hypotheses of several sizes of each.
+
+    Attributes
+    ----------
+    members : (h,) int
+        Indices of the hypotheses.
+    pattern : (h,) int
+        Pattern of each hypothesis, ascending.
+    size : (h,) float32
+        Size of each hypothesis: its variance factor is 1 + size * added.
+    places : (r,) int or slice
+        Rows of dense patterns; all for sparse ones.
+    added : (p, r) float32
+        Added variance per unit of the size, relative to the declared variance.
+    """
+
+    members: Ints
+    pattern: Ints
+    size: Singles
+    places: Ints | slice
+    added: Singles | sp.csr_array
+
+    def ratios(self, squares: Singles, share: Floats) -> Iterator[tuple[Ints, Floats]]:
+        """Log likelihood ratios of some members (b,), (b, trials): sums of (1 - 1/s) r^2 - k log s, halved.
+
+        Parameters
+        ----------
+        squares : (m, trials) float32
+            Squares r^2 of all rows.
+        share : (m,) float
+            Redundancies k.
+        """
+        squares, share = squares[self.places], share[self.places]
+        count = self.added.size if isinstance(self.added, np.ndarray) else self.added.nnz
+        step = max(1, AT_ONCE * self.added.shape[0] // max(count, 1))
+        for start in range(0, len(self.members), step):
+            part = slice(start, start + step)
+            logs = self._logs(part)
+            fit = (_gain(logs) @ squares).astype(np.float64)
+            yield self.members[part], 0.5 * (fit - (logs @ share)[:, None])
+
+    def row(self, member: int) -> tuple[Ints, Floats]:
+        """Rows (r,) on which one of the members changes the noise, and the logs (r,) of its variance factors there."""
+        logs = self._logs(slice(member, member + 1))
+        if not isinstance(logs, np.ndarray):
+            return logs.indices, logs.data.astype(np.float64)
+        changed = np.flatnonzero(logs[0])
+        rows = np.arange(logs.shape[1]) if isinstance(self.places, slice) else self.places
+        return rows[changed], logs[0, changed].astype(np.float64)
+
+    def _logs(self, part: slice) -> Singles | sp.csr_array:
+        """Log variance factors (h, r) of some members."""
+        added, size = self.added[self.pattern[part]], self.size[part]
+        if isinstance(added, np.ndarray):
+            return np.log1p(size[:, None] * added)
+        data = np.log1p(np.repeat(size, np.diff(added.indptr)) * added.data)
+        return sp.csr_array((data, added.indices, added.indptr), added.shape)
+
+
+def _gain(logs: Singles | sp.csr_array) -> Singles | sp.csr_array:
+    """1 - 1/s from log s."""
+    if isinstance(logs, np.ndarray):
+        return -np.expm1(-logs)
+    return sp.csr_array((-np.expm1(-logs.data), logs.indices, logs.indptr), logs.shape)
+
+
+Pattern = tuple[Floats, tuple[float, ...]]
+"""Added variance of the first rows per unit of the size, and the sizes of the hypotheses."""
+
+
+@dataclass(frozen=True)
+class NoiseFactors:
+    """Variance factors of `count` hypotheses, in groups of patterns; each hypothesis is in one of them."""
+
+    count: int
+    groups: tuple[PatternGroup, ...]
+
+    @classmethod
+    def of(cls, patterns: Iterable[Pattern], kind: Ints) -> NoiseFactors:
+        """Groups of patterns, from those of consecutive hypotheses.
+
+        `kind` (m,) is the kind of each row: dense patterns are stored on all rows of the kinds that they change.
+        """
+        dense: dict[tuple[bool, ...], tuple[list[Singles], list[Hypotheses]]] = {}
+        sparse: list[tuple[Ints, Singles]] = []
+        few: list[Hypotheses] = []
+        kinds, count = int(kind.max(initial=0)) + 1, 0
+        for added, sizes in patterns:
+            places = np.flatnonzero(added)
+            touched = np.bincount(kind[places], minlength=kinds) > 0
+            rows = np.flatnonzero(touched[kind])
+            if len(places) < DENSE * len(rows) or not len(places):
+                sparse.append((places.astype(np.int32), added[places].astype(np.float32)))
+                few.append((count, sizes))
+            else:
+                filled, owners = dense.setdefault(tuple(touched.tolist()), ([], []))
+                filled.append(np.append(added, np.zeros(len(kind) - len(added)))[rows].astype(np.float32))
+                owners.append((count, sizes))
+            count += len(sizes)
+        groups = [_group(few, slice(None), _rows(sparse, len(kind)))] if sparse else []
+        del sparse
+        for touched_kinds, (filled, owners) in dense.items():
+            groups.append(_group(owners, np.flatnonzero(np.array(touched_kinds)[kind]), stacked(filled)))
+        return cls(count, tuple(groups))
+
+    def ratios(self, squares: Singles, share: Floats) -> Floats:
+        """Log likelihood ratios (h, trials) of all hypotheses, from squares (m, trials) and redundancies (m,)."""
+        ratio = np.empty((self.count, squares.shape[1]))
+        for group in self.groups:
+            for members, values in group.ratios(squares, share):
+                ratio[members] = values
+        return ratio
+
+    def row(self, hypothesis: int) -> tuple[Ints, Floats]:
+        """Rows (r,) on which a hypothesis changes the noise, and the logs (r,) of its variance factors there."""
+        group = next(group for group in self.groups if hypothesis in group.members)
+        return group.row(int(np.flatnonzero(group.members == hypothesis)[0]))
+
+
+Hypotheses = tuple[int, tuple[float, ...]]
+"""Index of the first hypothesis of a pattern, and the sizes of its hypotheses."""
+
+
+def _group(owners: Sequence[Hypotheses], places: Ints | slice, added: Singles | sp.csr_array) -> PatternGroup:
+    members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in owners])
+    pattern = np.repeat(np.arange(len(owners)), [len(sizes) for _, sizes in owners])
+    size = np.concatenate([sizes for _, sizes in owners]).astype(np.float32)
+    return PatternGroup(members, pattern, size, places, added)
+
+
+def _rows(made: Sequence[tuple[Ints, Singles]], length: int) -> sp.csr_array:
+    """Sparse rows (p, length) from the places and values of each."""
+    ends = np.cumsum([0, *(len(places) for places, _ in made)]).astype(np.int32)
+    places, values = (np.concatenate([part[k] for part in made]) for k in (0, 1))
+    return sp.csr_array((values, places, ends), (len(made), length))

@@ -1,0 +1,122 @@
+"""Noise that is larger in windows of time, such as while a machine runs: two states of a hidden Markov chain.
+
+Each step of the chain is a pointing, or a few in large recordings. The evidence is the sum over all sequences of the
+states quiet and noisy by the forward recursion; the windows are those of the most probable sequence (Rabiner 1989,
+Proceedings of the IEEE 77, 257).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Bools, Floats
+from ltsim.diagnosis.evidence import restricted
+from ltsim.diagnosis.noise_groups import MIN_READINGS, SCATTERING, Amounts
+from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.recordings.recording import OBSERVABLES
+
+FACTORS = np.geomspace(2.0, 100.0, 7)
+"""Factors on the variance in the noisy state that are averaged over."""
+WINDOWS = np.array([1.5, 6.0])
+"""Mean numbers of windows in a recording that are averaged over."""
+MAX_STEPS = 200
+"""Largest number of steps of the chain."""
+LARGEST_LOG = 500.0
+"""Limit on the log likelihood ratio of a step, below the range of floating-point numbers."""
+ACTS = np.array([[name in acts for name in OBSERVABLES] for acts in SCATTERING], dtype=np.float64)
+"""Flags (a, 3) of the observables that may be noisy together."""
+
+
+@dataclass(frozen=True)
+class NoiseWindows(Amounts):
+    """Change of the noise in windows of time; the members are the steps of the chain, observable by observable.
+
+    Attributes
+    ----------
+    times : (steps + 1,) float
+        Ends [s] of the steps.
+    """
+
+    times: Floats
+
+    @classmethod
+    def of(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
+        """Hypothesis of a space; none for few readings, and without different times."""
+        time, (pointing, kind) = space.sightings.time, np.nonzero(space.used_readings)
+        distinct = np.unique(time)
+        if space.n_rows < MIN_READINGS or len(distinct) < 2:
+            return ()
+        steps = min(len(distinct), MAX_STEPS)
+        starts = distinct[np.linspace(0, len(distinct), steps, endpoint=False).round().astype(int)]
+        before = distinct[np.searchsorted(distinct, starts[1:]) - 1]
+        times = np.concatenate([[distinct[0]], 0.5 * (starts[1:] + before), [distinct[-1]]])
+        step = np.searchsorted(starts, time[pointing], side="right") - 1
+        rows = step * len(OBSERVABLES) + kind
+        members = sp.csr_array(
+            (np.ones(len(rows)), (rows, np.arange(len(rows)))), (steps * len(OBSERVABLES), space.n_rows)
+        )
+        return (
+            cls(VarianceFunction(covariates=("time",), covariate_band=(times[0], times[-1])), members, FACTORS, times),
+        )
+
+    @property
+    def name(self) -> str:
+        """Name of the family."""
+        return "unknown:noise:windows"
+
+    def _ratios(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log likelihood ratios (steps, a, f, trials) of noise in each step, by set of observables and factor."""
+        shape = len(self.times) - 1, len(OBSERVABLES), -1
+        squares = ACTS @ (self.members @ residual**2).reshape(shape)
+        share = ACTS @ (self.members @ redundancy).reshape(shape)
+        ratios = restricted(squares[:, :, None], share[:, :, None], self.factors[:, None])
+        return np.clip(ratios, -LARGEST_LOG, LARGEST_LOG)
+
+    @property
+    def _changes(self) -> Floats:
+        """Probabilities of a change from a step to the next."""
+        return np.minimum(2.0 * WINDOWS / len(self.times), 0.5)
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,) for residuals (m, trials), averaged over all sizes."""
+        gains = np.exp(self._ratios(residual, redundancy))
+        go = self._changes[:, None, None, None]
+        quiet = noisy = np.full((len(go), *gains.shape[1:]), 0.5)
+        total = np.zeros(quiet.shape)
+        for gain in gains:
+            quiet, noisy = quiet + go * (noisy - quiet), (noisy + go * (quiet - noisy)) * gain
+            scale = quiet + noisy
+            total += np.log(scale)
+            quiet, noisy = quiet / scale, noisy / scale
+        flat = total.reshape(-1, total.shape[-1])
+        return log_sum_exp(flat) - np.log(len(flat))
+
+    def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
+        """Effect with the observables and the windows of the most probable sequence of states (Viterbi's algorithm)."""
+        ratios = self._ratios(residual[:, None], redundancy)[..., 0].reshape(len(self.times) - 1, -1)
+        go = self._changes[0]
+        score, stays = np.zeros((ratios.shape[1], 2)), []
+        for ratio in ratios:
+            same, changed = score + np.log1p(-go), score[:, ::-1] + np.log(go)
+            stays.append(same >= changed)
+            score = np.maximum(same, changed)
+            score[:, 1] += ratio
+        best = int(np.argmax(score.max(axis=1)))
+        state, states = int(np.argmax(score[best])), np.zeros(len(ratios), dtype=bool)
+        for i in reversed(range(len(ratios))):
+            states[i] = bool(state)
+            state = state if stays[i][best, state] else 1 - state
+        if not states.any():
+            states[int(np.argmax(ratios[:, best]))] = True
+        acts = SCATTERING[best // len(self.factors)]
+        return replace(VarianceFunction(acts, covariates=("time",)), covariate_band=self._windows(states))
+
+    def _windows(self, states: Bools) -> tuple[float, ...]:
+        """Times at which the noise becomes larger and smaller, in turn."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
+        return tuple(self.times[edges].tolist())

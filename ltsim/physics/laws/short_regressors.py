@@ -1,0 +1,41 @@
+"""Short regressors: functions with one constant that may replace a curve in the same covariate."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.laws.columns import CIRCULAR_COVARIATES
+from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_regressor
+from ltsim.scene.sightings import Sightings
+
+ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+"""Angles whose sines, cosines and tangents are tried."""
+SAW_PERIODS = np.array([1.0, 0.5, 0.25, 0.125])
+"""Periods of saw-tooth functions, as fractions of a covariate's span."""
+SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
+"""Constants of decays and saturations, as fractions of a covariate's span."""
+
+
+def short_regressors(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
+    """Short regressors in a covariate; fewer (`few`) if several covariates are tried together."""
+    times = SPAN_FRACTIONS * float(np.ptp(sightings.quantities[name]))
+    circular = name in CIRCULAR_COVARIATES
+    if circular:
+        for order in range(1, 4 if few else 7):
+            yield Regressor("wave", (name,), constant=float(order))
+    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
+    if name in ANGULAR_COVARIATES and not (circular and few):
+        tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
+    tried += [("decay", times)] if name == "lapse" else []
+    if not few:
+        tried.append(("saw", SAW_PERIODS * float(np.ptp(sightings.quantities[name]))))
+        tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
+        tried += [("decay", times)] if name in CLOCK_COVARIATES else []
+        tried += [("relaxing", times)] if name in (*CLOCK_COVARIATES, "lapse") else []
+        tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
+        tried += [("within", times), ("stuck", times)] if name.startswith("move-") else []
+        tried += [("slack", times)] if name.startswith(("move-", "wound-")) else []
+    for function, constants in tried:
+        for constant in constants:
+            yield scalar_regressor(name, function, float(constant))

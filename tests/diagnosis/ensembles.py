@@ -1,0 +1,14 @@
+"""Null ensembles with given residuals in place of simulated ones."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.diagnosis.null_ensemble import NullEnsemble
+
+
+def with_trials(probe: NullEnsemble, residuals: Floats) -> NullEnsemble:
+    """Ensemble whose simulated recordings have the given residuals (m, t)."""
+    parts = probe.vectors[:, :1], residuals, probe.vectors[:, 1 + probe.count :]
+    return replace(probe, vectors=np.hstack(parts, dtype=np.float32), count=residuals.shape[1])

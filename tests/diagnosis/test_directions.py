@@ -1,0 +1,89 @@
+"""Components of a law in a fixed ratio: the best ratio, its evidence, and the law that has it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from ltsim.adjustment import adjust
+from ltsim.core.errors import ModelError
+from ltsim.core.randomness import stream
+from ltsim.diagnosis.directions import best_direction
+from ltsim.diagnosis.evidence import evidence_with
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import scalar_regressor, smooth_regressor
+from ltsim.physics.laws.responses import RESPONSES_BY_NAME
+from ltsim.physics.laws.words import law_suffix, parse_law, regressor_text
+from ltsim.physics.model.construction import misalignment_construction
+from ltsim.recordings.recording import Recording
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)[0]
+
+
+def planted(components: int, coefficients: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gram matrix, score, and the true ratio of a signature with one set of coefficients and unit noise."""
+    rng = stream(7, "ratio", components)
+    signature = rng.standard_normal((200, components * coefficients))
+    ratio = rng.standard_normal(components)
+    ratio *= np.sign(ratio[np.argmax(np.abs(ratio))]) / np.linalg.norm(ratio)
+    true = size * np.kron(ratio, rng.standard_normal(coefficients))
+    residual = signature @ true + rng.standard_normal(200)
+    return signature.T @ signature, signature.T @ residual, ratio
+
+
+@pytest.mark.parametrize("components", [2, 3, 6])
+def test_one_ratio_is_found_and_has_more_evidence_than_separate_coefficients(components: int) -> None:
+    gram, score, ratio = planted(components, 5, 1.0)
+    spread = np.full(len(score), 0.5)
+    best, *evidence = best_direction(gram, score, spread, components)
+    np.testing.assert_allclose(best, ratio, atol=0.25)
+    assert sum(evidence) > float(evidence_with(gram, score, spread)) + 1.0
+
+
+def test_the_evidence_is_the_integral_over_all_ratios() -> None:
+    gram, score, _ = planted(2, 4, 0.6)
+    spread = np.full(8, 0.5)
+    products, scores = gram.reshape(2, 4, 2, 4), score.reshape(2, 4)
+
+    def likelihood(angle: float, top: float) -> float:
+        u = np.array([np.cos(angle), np.sin(angle)])
+        inner = np.einsum("i,iajb,j->ab", u, products, u)
+        return float(np.exp(evidence_with(inner, u @ scores, spread[:4] * np.sqrt(2.0)) - top))
+
+    best, top, share = best_direction(gram, score, spread, 2)
+    middle = float(np.arctan2(best[1], best[0]))
+    integral = quad(likelihood, middle - np.pi / 2, middle + np.pi / 2, args=(top + share,), points=[middle])[0]
+    assert np.log(integral / np.pi) == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_ratio_do(recording: Recording) -> None:
+    sightings = adjust(recording).sightings
+    for each, ratio in ((False, (0.6, 0.0, -0.8)), (True, (0.5, -0.5, 0.25, 0.1, 0.3, 0.2, 0.4, 0.1, 0.35))):
+        stations = tuple(sightings.station_names) if each else ()
+        free = EmpiricalLaw(
+            stations, (), RESPONSES_BY_NAME["place of the stand"][0], smooth_regressor("time"), is_per_setup=each
+        )
+        ratio = (*ratio, *(0.1,) * (free.components - len(ratio)))
+        fixed = EmpiricalLaw(stations, (), free.response, free.regressor, is_per_setup=each, direction=ratio)
+        values = stream(3, "values").standard_normal(free.regressor.n_columns)
+        np.testing.assert_allclose(
+            fixed.design(sightings) @ values, free.design(sightings) @ np.kron(ratio, values), atol=1e-12
+        )
+        assert len(fixed.parameters) * free.components == len(free.parameters)
+
+
+def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
+    stand = RESPONSES_BY_NAME["place of the stand"][0]
+    for each in (False, True):
+        stations = recording.stations if each else ()
+        bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), is_per_setup=each)
+        ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.components), 4).tolist())
+        law = EmpiricalLaw(stations, (), stand, bare.regressor, is_per_setup=each, direction=ratio)
+        assert parse_law("place of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
+    with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):
+        parse_law("place of the stand", "time, components in the ratio 0.6 / 0.8", recording)

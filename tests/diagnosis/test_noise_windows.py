@@ -1,0 +1,57 @@
+"""Noise in windows of time: the evidence is the sum over all sequences of states, and the windows are found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.randomness import stream
+from ltsim.diagnosis.noise import NoiseBank, most_likely, noise_hypotheses
+from ltsim.diagnosis.noise_windows import NoiseWindows
+from ltsim.physics.model.construction import misalignment_construction
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def space() -> ResidualSpace:
+    recording, _ = network(faces=2, values=drawn(misalignment_construction(), 1), seed=1)
+    return ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
+
+
+def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_STEPS", 5)
+    windows = NoiseWindows.of(space)[0]
+    residual = 1.5 * space.residuals[:, None]
+    ratios = windows._ratios(residual, space.redundancy)[..., 0].reshape(5, -1)
+    logs = []
+    for go in windows._changes:
+        for states in product((0, 1), repeat=6):  # the state before the first step, and those of the steps
+            odds = [np.log(go if a != b else 1.0 - go) for a, b in pairwise(states)]
+            logs.append(np.log(0.5) + sum(odds) + np.array(states[1:]) @ ratios)
+    count = len(windows._changes) * ratios.shape[1]
+    expected = log_sum_exp(np.array(logs).ravel()) - np.log(count)
+    assert windows.evidence(residual, space.redundancy)[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
+    time = space.sightings.time
+    noisy = np.zeros(len(time), dtype=bool)
+    for share in (0.1, 0.4, 0.75):
+        noisy |= (time > np.quantile(time, share)) & (time <= np.quantile(time, share + 0.1))
+    pointing, kind = np.nonzero(space.used_readings)
+    rows = np.flatnonzero(noisy[pointing] & (kind > 0))
+    added = np.zeros((space.n_rows, 1))
+    added[rows, 0] = 4.0 * stream(2, "compressor").standard_normal(len(rows))
+    residual = space.residuals + space.project(added)[:, 0]
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    best = bank.ranked(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
+    assert (best.effect.in_band(space.sightings) == noisy).mean() > 0.95
+    fitted = most_likely(replace(space, residuals=residual), space.sigma, best)
+    assert 4.0 < np.sqrt(1.0 + fitted.values[0]) < 5.5
