@@ -150,7 +150,7 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
         np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
-    np.testing.assert_allclose(exact.whitened_signature(local[0]), space.whitened_signature(local[0]))
+    np.testing.assert_allclose(exact.signature(local[0]), space.whitened_signature(local[0]))
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
